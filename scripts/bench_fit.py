@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 import sphrom
 from sphrom.case.studies import fit_ranges
-from sphrom.fit.forward_model import FittedModel, TrainingDifferences, box_of, error_samples
+from sphrom.fit.forward_model import FittedEquations, TrainingDifferences, box_of
 from sphrom.fit.measurements import Measurements, read_measurements
 from sphrom.metrics.estimation import Weights, minima, uncertainty
 from sphrom.models.points.fast_model import FastModel
@@ -138,7 +138,7 @@ class Coverage:
         the lid's speed.
         """
         data = self._measurements(noisy(recorded(self._study, point), percent, 0))
-        model = FittedModel(self._fast, self._box, data.histories)
+        model = FittedEquations(self._fast, self._box, data.histories)
         truth = np.array([self._share(name, value) for name, value in point.items()])
         model.prepare([truth])
         rng = np.random.default_rng(1)
@@ -148,7 +148,7 @@ class Coverage:
             assert found is not None
             clean = found[0]
         plain = Weights(data.noise, np.zeros((0, len(clean))))
-        samples = error_samples(model, truth, self._known)
+        samples = model.error_samples(truth, self._known)
         assert samples is not None
         time = model.reduced(model.point(truth)).output_times.time
         whole = Weights(data.noise, np.stack([model.at_instants(time, s) for s in samples]))

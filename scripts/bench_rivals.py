@@ -43,11 +43,11 @@ from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.reference.stored import read_basis, read_points
 from sphrom.reduction.correction import spline_weights
 from sphrom.reduction.trial_basis import project, reconstruct, truncate, weighted_mean
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.store.trained_models import read_basis, read_points
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Workspace
 

@@ -86,7 +86,7 @@ MODULES = (
     "sphrom.setup.cost",
     "sphrom.exchange.import_",
     "sphrom.report.report",
-    *(f"sphrom.{STAGES[name]}" for _, name, _ in READERS.values()),
+    *(f"sphrom.{STAGES[name].partition(':')[0]}" for _, name, _ in READERS.values()),
 )
 NASTY: list[Any] = [
     None, True, False, 0, -1, 1, 2**31, 2**63, 2**64, 10**30, -(10**30), 0.0, -0.0, 1e-300, 1e300,

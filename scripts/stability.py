@@ -39,12 +39,12 @@ from sphrom.errors import UnstableError
 from sphrom.models import fom
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.models.stable_ranges import FILE, StableRange
+from sphrom.models.starts import scene_start
 from sphrom.plots.panels import save
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.trained_models import scene_start
 from sphrom.store.workspace import Workspace
 from sphrom.trade.extremes import FULL_MODEL, Maps
 from sphrom.trade.stability import COLOURS, ExtremeRun, draw_maps, publish

@@ -25,6 +25,7 @@ from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import ask_for_threads
 from sphrom.metrics.histories import compare, errors_of, relative_l2
 from sphrom.metrics.measures import Samples
+from sphrom.models.starts import start
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
@@ -32,7 +33,6 @@ from sphrom.setup.particles import sampler
 from sphrom.sph.fluid import pressure_of
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.stored_run import probes_of
-from sphrom.store.trained_models import start
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Workspace
 

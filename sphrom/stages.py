@@ -32,11 +32,11 @@ STAGES = {
     "check": "setup.cost",
     "draw": "setup.draw",
     "fom": "models.fom",
-    "map": "models.points.map",
-    "pod": "models.points.basis",
-    "fit-psi": "models.points.splines",
-    "operators": "models.points.training",
-    "rom": "models.rom",
+    "map": "models.stages:map_runs",
+    "pod": "models.stages:make_basis",
+    "fit-psi": "models.stages:fit_splines",
+    "operators": "models.stages:train_models",
+    "rom": "models.stages:run_models",
     "compare": "compare.compare",
     "figures": "compare.figures",
     "trade": "trade.trade",
@@ -48,7 +48,7 @@ STAGES = {
     "export": "exchange.export",
     "report": "report.report",
 }
-"""The module of each stage, which has a function `run`."""
+"""The module of each stage, with the name of its function unless that is `run`."""
 
 
 def context_of(
@@ -84,13 +84,16 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
     Raises SphromError.
     """
     with _warnings_in_lines(context.report):
-        run = import_module(f"sphrom.{STAGES[stage]}").run
+        module, _, name = STAGES[stage].partition(":")
+        run = getattr(import_module(f"sphrom.{module}"), name or "run")
         parameters = signature(run).parameters
         known = [*parameters][1:]
         takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-        for name in asked:
-            if name not in known and not takes_any:
-                raise CaseError(f"{stage}: has no option {quoted(name)}; {nearest(name, known)}")
+        for option in asked:
+            if option not in known and not takes_any:
+                raise CaseError(
+                    f"{stage}: has no option {quoted(option)}; {nearest(option, known)}"
+                )
         return run(context, **asked)
 
 
@@ -125,10 +128,12 @@ def run_all(context: StageContext, until: str | None = None) -> None:
 
 def _needed(case: Case, until: str | None) -> list[str]:
     """Return the stages that a case needs; without reduced models, these are its full runs."""
+    from sphrom.models.contract import Ability, family_of
+
     if until is not None and until not in PIPELINE:
         raise CaseError(f"no stage is called {quoted(until)}; {nearest(str(until), PIPELINE)}")
     spared = set() if case.rom else {"map", "pod", "fit-psi"}
-    if case.scene.has_surface:
+    if Ability.MODE_FIELDS not in family_of(case).abilities:
         spared.add("fit-psi")
     if not case.plan.reference_bases:
         spared.add("operators")

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 from sphrom.api.result import Labels, Result, Sensitivities, rows_of
 from sphrom.arguments import checked, finite_array
 from sphrom.arrays import Array
-from sphrom.artifacts.records.reduced_models import TrainedModel
-from sphrom.artifacts.records.runs import TrainedSurfaceModel
+from sphrom.artifacts.records.runs import ModelFile
 from sphrom.case.checks import steady_problem
 from sphrom.case.fields import LARGEST
 from sphrom.case.hints import beyond_training, extrapolation
@@ -26,18 +25,10 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.models import rom
-from sphrom.models.points.basis_model import quantities_of
-from sphrom.models.points.fast_model import FastModel, fast_model
-from sphrom.models.points.sensitivities import tangents
-from sphrom.models.surface.model import SurfaceModel
+from sphrom.models.contract import Ability, family_of
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
-from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
-from sphrom.store.stored_run import Samples, sample_run
-from sphrom.store.surfaces import SurfaceModelAt
-from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 from sphrom.text import nearest, quoted
 
@@ -49,8 +40,6 @@ if TYPE_CHECKING:
 
 LEAST_STEP = 1e-3
 """Least length of the steps of sensitivities, over the automatic one."""
-AnyModel = TypeVar("AnyModel", bound=ReferenceModel | SurfaceModelAt)
-"""A model at a parameter point."""
 
 
 class Model:
@@ -67,23 +56,21 @@ class Model:
 
     _point: ParameterPoint
     _own: Mapping[str, float] = {}
-    _reduced: ReferenceModel | SurfaceModelAt | None = None
+    _reduced: Any = None
+    """The model at the point; its kind is that of the family."""
 
     def __init__(
         self,
         context: StageContext,
         section: ReducedModelSection,
-        stored: TrainedModel | TrainedSurfaceModel | None = None,
+        stored: ModelFile | None = None,
     ) -> None:
         self._workspace = Workspace(context)
         self._section = section
         self._labels = Labels(context.case)
         self._errors: TrainingDifferences = {}
-        self._fast: FastModel | SurfaceModel | None = None
-        if stored is None and section.from_operators:
-            self._workspace.require(self._workspace.operators())
-        if section.from_operators:
-            self._fast = fast_model(self._workspace, section, stored)
+        self._family = family_of(context.case, section)
+        self._fast = self._family.model(self._workspace, section, stored)
 
     def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
         """Return the points with some values and the model's own; warn of one that extrapolates."""
@@ -114,7 +101,8 @@ class Model:
     @property
     def start(self) -> Array:
         """The initial coordinates (n_modes,) of runs."""
-        return self._without_particles("start")[1].start.copy()
+        self._require(Ability.RUNS_ALONE, "start")
+        return np.array(self._reduced.start)
 
     @guarded(solves=False)
     def at(self, **parameters: float) -> Model:
@@ -125,7 +113,7 @@ class Model:
         other = copy(self)
         (other._point,) = self._points([parameters])
         other._own = other._point.as_dict()
-        other._reduced = None if self._fast is None else self._fast.at(other._point)
+        other._reduced = self._fast.at(other._point)
         return other
 
     @guarded()
@@ -141,13 +129,9 @@ class Model:
         final_time : [s], a whole number of snapshot intervals after the first snapshot, for models
             on the reference points; by default the final time of the case.
         """
-        if self._fast is None:
-            if final_time is not None:
-                raise CaseError("final_time: needs a model on the reference points")
-            return self._run_on_particles()
-        fast, reduced = self._without_particles("run")
-        longer = self._lengthened(reduced, final_time)
-        run = fast.run(self._point, longer)  # type: ignore[arg-type]  # both of one kind
+        if final_time is not None:
+            self._require(Ability.OTHER_TIMES, "final_time")
+        run = self._fast.run(self._point, self._lengthened(final_time))
         if run.failure is not None:
             raise UnstableError(f"{run.name}: {run.failure}")
         return Result(
@@ -181,9 +165,9 @@ class Model:
         `error_estimate_extrapolated` (run), one outside of the trained range, else zero. `status`
         (run) is `complete` or `unstable`; values of unstable runs are NaN.
         """
-        fast, _ = self._without_particles("run_many")
+        self._require(Ability.RUNS_ALONE, "run_many")
         at = self._points(rows_of(points))
-        return self._labels.runs(map(fast.run, at), [p.as_dict() for p in at], self.name)
+        return self._labels.runs(map(self._fast.run, at), [p.as_dict() for p in at], self.name)
 
     @guarded()
     @checked
@@ -204,28 +188,17 @@ class Model:
         step_factor : length of the time steps over that of automatic ones.
         """
         case = self._workspace.case
-        fast, reduced = self._by_operators("sensitivities")
+        self._require(Ability.SENSITIVITIES, "sensitivities")
         self._require_names(names)
         if step_factor < LEAST_STEP:
             raise CaseError(f"step_factor: must be {LEAST_STEP:g} or more; got {step_factor:g}")
         if case.time.spin_up > 0.0:
             self._warn("derivatives do not include changes of the spin-up")
-        longer = self._lengthened(reduced, final_time)
+        reduced = self._lengthened(final_time)
         wanted = tuple(dict.fromkeys(names)) or case.plan.parameter_names
-        slopes = tangents(fast, self._point, wanted, longer, step_factor)
-
-        def changes(points: Array) -> Samples:
-            mean = reduced.mean_density_fluctuation
-            run = slopes.run
-            moved = zip(run + slopes.coordinates, mean + slopes.mean_changes, strict=True)
-            sampled = partial(fast.at_point(self._point).sampled, points, slopes.time)
-            own, *others = (sampled(*state) for state in ((run, mean), *moved))
-            velocity = np.stack([each.velocity - own.velocity for each in others])
-            pressure = np.stack([each.pressure - own.pressure for each in others])
-            return Samples(own.time, velocity, pressure)
-
+        slopes = self._fast.tangents(self._point, wanted, reduced, step_factor)
         own: Any = {"model": self.name, "at": self.parameters}
-        return Sensitivities(**vars(slopes), **own, _labels=self._labels, _sample=changes)
+        return Sensitivities(**vars(slopes), **own, _labels=self._labels)
 
     @guarded()
     @checked
@@ -257,7 +230,7 @@ class Model:
 
         case = self._workspace.case
         section = self._section
-        fast, _ = self._without_particles("fit")
+        self._require(Ability.RUNS_ALONE, "fit")
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
         # A path is a `Path` here, see `checked`.
@@ -270,7 +243,7 @@ class Model:
         else:
             values |= {n: v for n, v in case.fit.parameters.items() if isinstance(v, float)}
         values = {n: v for n, v in values.items() if n not in ranges}
-        return fit(fast, box_of(ranges, values), data, self._errors)
+        return fit(self._fast, box_of(ranges, values), data, self._errors)
 
     def _require_names(self, names: Sequence[str]) -> None:
         known = self._workspace.case.plan.parameter_names
@@ -326,28 +299,16 @@ class Model:
         """
         reduced, state, _, at = self._at("measures", coordinates, time)
         times = np.array([at])
-        measured = quantities_of(self._workspace.case, reduced, times, state[None])
+        measured = self._fast.measures(reduced, times, state[None])
         about = {"model": self.name, **self.parameters}
         return self._labels.dataset(measured, times, about)
 
-    def _by_operators(self, method: str) -> tuple[FastModel, ReferenceModel]:
-        fast, reduced = self._without_particles(method)
-        if isinstance(fast, SurfaceModel) or isinstance(reduced, SurfaceModelAt):
-            raise CaseError(f"{method}: is not for models of a free surface")
-        return fast, reduced
+    def _require(self, ability: Ability, method: str) -> None:
+        self._family.require(ability, method, self.name)
 
-    def _without_particles(
-        self, method: str
-    ) -> tuple[FastModel | SurfaceModel, ReferenceModel | SurfaceModelAt]:
-        if self._fast is None or self._reduced is None:
-            raise CaseError(
-                f"{method}: {self.name} is evaluated on particles, so it is no system of equations "
-                "for its coordinates; choose a model with evaluation: operators"
-            )
-        return self._fast, self._reduced
-
-    def _lengthened(self, reduced: AnyModel, final_time: float | None) -> AnyModel:
+    def _lengthened(self, final_time: float | None) -> Any:
         """Return the model with the snapshots of a run with another final time [s]."""
+        reduced = self._reduced
         if final_time is None:
             return reduced
         steps = self._workspace.case.plan.steps
@@ -361,9 +322,10 @@ class Model:
 
     def _at(
         self, method: str, coordinates: ArrayLike, time: float | None = None
-    ) -> tuple[ReferenceModel, Array, float, float]:
+    ) -> tuple[Any, Array, float, float]:
         """Return the model, coordinates as an array, amplitude of the driving, and time [s]."""
-        _, reduced = self._by_operators(method)
+        self._require(Ability.EQUATIONS, method)
+        reduced = self._reduced
         state = finite_array(coordinates, "coordinates")
         shape = reduced.start.shape
         if state.shape != shape:
@@ -375,26 +337,3 @@ class Model:
         if reduced.amplitude is None:
             return reduced, state, 0.0, at
         return reduced, state, float(reduced.amplitude(np.array([at]))[0]), at
-
-    def _run_on_particles(self) -> Result:
-        workspace = self._workspace
-        target = rom.ensure_run(workspace, self._section, self._point)
-        with workspace.open(target) as trajectory:
-            if trajectory.text("status") != "complete":
-                detail = trajectory.text("status_detail")
-                raise UnstableError(f"{self.name}, {self._point.label}: {detail}")
-
-            def sampled(points: Array) -> Samples:
-                with workspace.open(target) as again:
-                    return sample_run(workspace.case, again, points)
-
-            return Result(
-                model=self.name,
-                parameters=self.parameters,
-                time=trajectory.read("time"),
-                coordinates=trajectory.read("generalized_coordinates"),
-                time_step=trajectory.number("time_step"),
-                _labels=self._labels,
-                _sample=sampled,
-                _measured=partial(dict, measured_of(workspace.case, trajectory)),
-            )

@@ -15,10 +15,9 @@ from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities, Samples, since
 from sphrom.metrics.series import NO_OSCILLATION
-from sphrom.models.points.error_estimates import ErrorEstimate, measured_errors
-from sphrom.models.points.fast_model import FastRun
+from sphrom.models.contract import ModelRun
+from sphrom.models.points.error_estimates import ErrorEstimate
 from sphrom.models.points.sensitivities import Tangents
-from sphrom.models.surface.model import SurfaceRun
 from sphrom.setup.assembly import field_measures
 from sphrom.signals import guarded
 
@@ -120,7 +119,7 @@ class Labels:
 
     def runs(
         self,
-        runs: Iterable[FastRun | SurfaceRun],
+        runs: Iterable[ModelRun],
         points: Sequence[Mapping[str, float]],
         model: str,
     ) -> xarray.Dataset:
@@ -137,8 +136,7 @@ class Labels:
             status[k] = "complete"
             if (own := run.estimate) is not None:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
-            own_errors = measured_errors(run) if isinstance(run, FastRun) else {}
-            estimates = {f"{ERROR}{name}": each for name, each in own_errors.items()}
+            estimates = {f"{ERROR}{name}": each for name, each in run.measured_errors.items()}
             own_values = run.measured | self.case.plan.oscillations.of(time, run.measured)
             for name, quantities in (own_values | estimates).items():
                 stacked = measured.setdefault(name, {})
@@ -272,7 +270,6 @@ class Sensitivities(Tangents):
     at: dict[str, float]
     """Parameter values of the run."""
     _labels: Labels
-    _sample: Callable[[Array], Samples]
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value:g}" for name, value in self.at.items())

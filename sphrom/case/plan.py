@@ -92,6 +92,12 @@ class Plan(TimesPlan):
         """Return the number of training snapshots of a basis."""
         return len(self.bases[name]) * self.steps.n_snapshots
 
+    def family(self, model: ReducedModelSection | None = None) -> str:
+        """Return the name of a reduced model's family; without one, that of the case's stages."""
+        if self._scene.has_surface:
+            return "surface"
+        return "points" if model is None or model.from_operators else "particles"
+
     def has_error_estimate(self, name: str) -> bool:
         """Return whether the errors of a basis's models on the reference points are estimated."""
         if self._scene.has_surface:
@@ -201,6 +207,16 @@ class Plan(TimesPlan):
             n_columns=min(MOST_COLUMNS, n_columns),
             n_rows=n_rows,
         )
+
+    @property
+    def map_settings(self) -> dict[str, object]:
+        """What maps of full runs depend on, besides keys of the case."""
+        return {"space": vars(self.stream_space)} if self._scene.has_surface else {}
+
+    @property
+    def relaxed_points(self) -> bool:
+        """Whether the points of the reference space are the last particles of a full run."""
+        return self._case.reference.points == "relaxed" and not self._scene.has_surface
 
     @cached_property
     def surface_columns(self) -> Array:

@@ -163,6 +163,11 @@ class FlowsPlan(PointsPlan):
         area = len(scene.fill(self.particle_spacing, values)) * self.particle_spacing**2
         return area / scene.domain.lengths[0]
 
+    @property
+    def with_weight(self) -> bool:
+        """Whether pressures have a hydrostatic part, which is no flow, and places may fall dry."""
+        return self._scene.has_surface
+
     def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:
         """Return the pressure at rest (n_positions,) [Pa] below a level; None without a surface."""
         scene = self._scene

@@ -18,14 +18,14 @@ import numpy as np
 
 from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.comparison_tables import ErrorRow, EstimateRow, Tables, best_name
+from sphrom.compare.comparison_tables import ErrorRow, EstimateRow, Tables
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
-from sphrom.compare.measured import SURFACE, MeasureRow, OscillationRow
+from sphrom.compare.measured import MeasureRow, OscillationRow
 from sphrom.metrics.measures import ONLY_NOISE
+from sphrom.models.contract import SURFACE, Ability, basis_used, best_name, family_of
 from sphrom.models.stable_ranges import against
 from sphrom.plots.tables import format_figure
 from sphrom.store.stored_run import inflow_of
-from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
@@ -293,17 +293,22 @@ def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
     failed = {row.compared for row in tables.errors if row.status != "complete"}
     seconds = {row.model: row.reduced_seconds for row in tables.timings}
     models = [model for model in case.rom if _compared(tables, model.name)]
+
+    def runs_alone(model: ReducedModelSection) -> bool:
+        return Ability.RUNS_ALONE in family_of(case, model).abilities
+
     for model in models:
         pairs = _judged(_compared(tables, model.name))
         errors[model.name] = error = float(np.mean([pair[0] for pair in pairs], axis=0).max())
         if model.name not in failed:
-            kind = model.from_operators
+            kind = runs_alone(model)
             least[kind] = min(error, least.get(kind, math.inf))
 
     def key(model: ReducedModelSection) -> tuple[bool, bool, bool, float]:
+        kind = runs_alone(model)
         name = model.name
-        off = errors[name] > (1.0 + ALIKE) * least.get(model.from_operators, math.inf)
-        return not model.from_operators, name in failed, off, seconds.get(name) or math.inf
+        off = errors[name] > (1.0 + ALIKE) * least.get(kind, math.inf)
+        return not kind, name in failed, off, seconds.get(name) or math.inf
 
     return sorted(models, key=key)
 

@@ -12,9 +12,9 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.compare.comparison_tables import SpectrumRow
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
+from sphrom.models.contract import basis_used
 from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
 from sphrom.setup.draw import solids_within
-from sphrom.store.trained_models import basis_used
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import chain
-
-import numpy as np
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, ReducedModelSection
+from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.basis_figures import spectrum_rows
 from sphrom.compare.comparison_figures import draw_comparison, exact_samples
 from sphrom.compare.comparison_tables import (
-    ALONE,
     DecayRow,
     Tables,
-    best_name,
     error_row,
     estimate_row,
     show,
 )
 from sphrom.compare.costs import run_timings, stage_timings
 from sphrom.compare.measured import (
-    SURFACE,
     Measured,
     MeasureRow,
     flow_row,
     measure_rows,
     measured_estimates,
-    measured_of_best,
-    measured_of_map,
     oscillation_rows,
 )
 from sphrom.compare.references import compare_with_references
@@ -42,14 +34,13 @@ from sphrom.compare.stored_comparison import ComparisonWriter
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.measures import Samples, without_weight
-from sphrom.metrics.series import exponential_rate, kinetic_energy
-from sphrom.models.surface.model import SurfaceModel, SurfaceRun
+from sphrom.metrics.series import exponential_rate
+from sphrom.models.contract import Limit, basis_used, family_of
+from sphrom.models.stored_run import StoredRun
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.setup.particles import sampler
-from sphrom.store.stored_run import StoredRun, probes_of, sample_best, sample_mapped
-from sphrom.store.trained_models import basis_used, read_modes
+from sphrom.store.stored_run import probes_of
 from sphrom.store.trajectory import measured_of, require_complete
 from sphrom.store.workspace import Workspace
 
@@ -89,16 +80,6 @@ def run(context: StageContext) -> None:
     tell_answer(workspace, tables)
 
 
-@dataclass(frozen=True)
-class _Run:
-    """What is compared: its name, its basis and its number of modes, if any, and how it ended."""
-
-    name: str
-    basis: str | None = None
-    n_modes: int | None = None
-    status: str = "complete"
-
-
 def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
     flows = ((point, case.plan.flow(point).exact) for point in case.plan.points)
     return [(point, flow) for point, flow in flows if flow is not None and case.compare.exact]
@@ -107,8 +88,7 @@ def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
 def _decay(workspace: Workspace, point: ParameterPoint, flow: TaylorGreen) -> DecayRow:
     exact = flow.energy_decay_rate
     with StoredRun.opened(workspace, point) as run:
-        energy = [kinetic_energy(run.fields(k)[0], run.mass) for k in range(len(run.time))]
-        fitted = exponential_rate(run.time, np.array(energy))
+        fitted = exponential_rate(run.time, run.kinetic_energy)
     return DecayRow(point.label, fitted, exact, fitted / exact)
 
 
@@ -137,17 +117,17 @@ class _PointComparison:
         self.models = plan.compared_at(point)
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
-            run = StoredRun(workspace, trajectory, point)
-            self.full = self._sampled("the full run", run)
+            run = StoredRun.of(workspace, trajectory, point)
+            self.full = self._sampled(run)
             writer.full_run(self.full)
             for row, profile in compare_with_references(self.case, point, trajectory, probes):
                 tables.reference.append(row)
                 writer.profile(row, profile)
-            self._describe_flow(FULL, run, self.full)
+            self._describe_flow(run, self.full)
             self.measured = measured_of(self.case, trajectory)
-        if self.case.scene.has_surface and self.models:
-            with workspace.open(workspace.mapped(point)) as mapped:
-                self.measured |= {SURFACE: {"elevation": mapped.read("elevation")}}
+        self.family = family_of(self.case)
+        if self.models:
+            self.measured |= self.family.measured_at(workspace, point)
         self.references = {FULL: self.full}
         if (flow := plan.flow(point).exact) is not None and self.case.compare.exact:
             self.references["exact"] = exact_samples(flow, probes.all, self.full.time)
@@ -155,149 +135,106 @@ class _PointComparison:
 
     def compare(self) -> None:
         """Add all comparisons at this point to the artifact and the tables."""
-        full = _Run(FULL)
-        self._measure(full, self.measured)
+        full = Limit(FULL, self.full, measured=self.measured)
+        self._measure(full)
         if "exact" in self.references:
-            self._add(full, self.full, "exact")
-        if self.models and self.case.scene.has_surface:
-            self._compare_surface_limits()
-        elif self.models:
+            self._add(full, "exact")
+        if self.models:
             self._compare_limits()
         for model in self.models:
             self._compare_model(model)
         self.tables.measures.extend(chain.from_iterable(self.measures.values()))
 
     def _compare_limits(self) -> None:
-        """Compare the mapped snapshots, and the best state in each basis."""
-        workspace = self.workspace
-        case = self.case
-        with workspace.open(workspace.mapped(self.point)) as mapped:
-            map_alone = _Run("map")
-            self._add(map_alone, sample_mapped(case, mapped, sampler(case, self.probes.all)))
-            self._measure(map_alone, measured_of_map(case, mapped))
-            # Models with operators compute measurements from their coordinates.
-            last = sorted(self.models, key=lambda model: model.evaluation == "operators")
-            used = {basis_used(workspace, model, self.point): model for model in last}
-            for (name, size), model in sorted(used.items(), key=lambda each: each[0]):
-                best = _Run(best_name(name, size), name, size)
-                basis, splines = read_modes(workspace, name, size)
-                states, fields = sample_best(case, mapped, basis, splines, self.probes)
-                self._add(best, states)
-                self._add(_Run(f"{ALONE}, {name} M={size}", name, size), fields)
-                if model.evaluation == "operators" and case.scene.measure:
-                    measured = measured_of_best(workspace, model, self.point, mapped)
-                    self._measure(best, measured)
-
-    def _compare_surface_limits(self) -> None:
-        """Compare the nearest states of each basis, and models that are not calibrated."""
-        runs: dict[str, tuple[int, Callable[[ParameterPoint], SurfaceRun]]] = {}
-        for model in self.models:
-            fast = SurfaceModel(self.workspace, model)
-            size = fast.section.size
-            runs[best_name(ALL, size)] = size, fast.nearest
-            if model.is_calibrated:
-                plain = model.model_copy(update={"calibrated": False})
-                uncalibrated = SurfaceModel(self.workspace, plain)
-                runs[f"{model.name}, not calibrated"] = size, uncalibrated.run
-        for name, (size, run_at) in runs.items():
-            run = run_at(self.point)
-            compared = _Run(name, ALL, size, "complete" if run.failure is None else "unstable")
-            if run.failure is None:
-                measured = {**run.measured, SURFACE: {"elevation": run.elevation}}
-                self._measure(compared, measured)
-            self._add(compared, run.sampled(self.probes.all))
+        """Compare the best that models can be, and simpler models."""
+        for best in self.family.limits(self.workspace, self.models, self.point, self.probes):
+            self._add(best)
+            self._measure(best)
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         workspace = self.workspace
         case = self.case
         basis, size = basis_used(workspace, model, self.point)
         with workspace.open(workspace.reduced_run(model, self.point)) as trajectory:
-            compared = _Run(model.name, basis, size, trajectory.text("status"))
-            run = StoredRun(workspace, trajectory, self.point, model)
-            reduced = self._sampled(model.name, run)
-            self._describe_flow(model.name, run, reduced)
-            # A run that stopped early has no estimates and no speed-up.
-            if compared.status == "complete":
+            status = trajectory.text("status")
+            run = StoredRun.of(workspace, trajectory, self.point, model)
+            compared = Limit(model.name, self._sampled(run), basis, size, status=status)
+            self._describe_flow(run, compared.samples)
+            if status == "complete":  # a run that stopped early has no estimates and no speed-up
                 estimate = estimate_row(
                     trajectory,
-                    reduced,
+                    compared.samples,
                     self.full,
                     self.probes,
                     case.compare.from_time,
                     **self._described(compared),
                 )
                 self.tables.estimates.extend(filter(None, [estimate]))
-                measured = measured_of(case, trajectory)
-                if case.scene.has_surface:
-                    measured |= {SURFACE: {"elevation": run.elevation}}
-                self._measure(compared, measured, measured_estimates(case, trajectory))
+                measured = {**measured_of(case, trajectory), **run.whole}
+                self._measure(
+                    replace(compared, measured=measured), measured_estimates(case, trajectory)
+                )
         for against in self.references:
-            self._add(compared, reduced, against)
+            self._add(compared, against)
 
-    def _sampled(self, name: str, run: StoredRun) -> Samples:
+    def _sampled(self, run: StoredRun) -> Samples:
+        name = "the full run" if run.name == FULL else run.name
         text = f"sample {name}, {self.point.label}"
         with self.workspace.context.report.details.progress(text, len(run.time)) as advance:
             return run.sampled(self.probes.all, advance=advance)
 
-    def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
+    def _describe_flow(self, run: StoredRun, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls, unless the run has no snapshots."""
         if self.case.scene.domain.has_walls and len(samples.time):
-            row = flow_row(self.case, name, self.point, run, samples, self.probes)
+            row = flow_row(self.case, self.point, run, samples, self.probes)
             self.tables.flow.append(row)
 
-    def _measure(
-        self, compared: _Run, measured: Measured, estimates: Measured | None = None
-    ) -> None:
-        """Add the rows of a run's measurements, grouped by quantity."""
+    def _measure(self, run: Limit, estimates: Measured | None = None) -> None:
+        """Add the rows of a run's measurements, if it has any, grouped by quantity."""
+        if run.measured is None:
+            return
         since = self.case.compare.from_time
         plan = self.case.plan
         for row in measure_rows(
-            measured,
+            run.measured,
             self.measured,
             self.full.time,
             lambda name: max(since, plan.means_from.get(name, plan.settled_from)),
             estimates or {},
-            with_weight=self.case.scene.has_surface,
-            n_modes=compared.n_modes,
-            **self._described(compared),
+            with_weight=plan.with_weight,
+            n_modes=run.n_modes,
+            **self._described(run),
         ):
             self.measures[row.measured, row.quantity].append(row)
         self.tables.oscillations.extend(
             oscillation_rows(
                 self.case,
                 self.full.time,
-                measured,
+                run.measured,
                 self.measured,
-                compared=compared.name,
+                compared=run.name,
                 parameters=self.point.label,
             )
         )
 
-    def _described(self, compared: _Run) -> dict[str, str]:
-        basis = compared.basis
-        role = "" if basis is None else role_of(self.case, basis, self.point)
-        return {"compared": compared.name, "parameters": self.point.label, "role": role}
+    def _described(self, run: Limit) -> dict[str, str]:
+        role = "" if run.basis is None else role_of(self.case, run.basis, self.point)
+        return {"compared": run.name, "parameters": self.point.label, "role": role}
 
-    def _add(self, compared: _Run, samples: Samples, against: str = FULL) -> None:
+    def _add(self, run: Limit, against: str = FULL) -> None:
         """Add the errors of a run, and its samples."""
-        run = samples
+        samples = run.samples
         reference = self.references[against]
         plan = self.case.plan
         if (weight := plan.weight_at(self.point, self.probes.all)) is not None:
-            run, reference = without_weight(run, reference, weight)
+            samples, reference = without_weight(samples, reference, weight)
         begin = self.case.compare.from_time
-        history = compare(run, reference, self.probes, begin, plan.longest_sound_period)
-        if compared.status == "complete" and len(history.time) == 0:
+        history = compare(samples, reference, self.probes, begin, plan.longest_sound_period)
+        if run.status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: the "
                 f"{against} solution is constant over the probes at all snapshots"
             )
-        row = error_row(
-            history,
-            compared.status,
-            compared.n_modes,
-            against=against,
-            **self._described(compared),
-        )
+        row = error_row(history, run.status, run.n_modes, against=against, **self._described(run))
         self.tables.errors.append(row)
-        self.writer.run(row, history, samples)
+        self.writer.run(row, history, run.samples)

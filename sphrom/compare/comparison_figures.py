@@ -21,14 +21,16 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Row, place_of
 from sphrom.case.study_sections import FULL
 from sphrom.compare.basis_figures import draw_modes, draw_spectrum, frame_of, model_sizes
-from sphrom.compare.comparison_tables import BEST, Tables
+from sphrom.compare.comparison_tables import Tables
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import UNITS, Samples, components
+from sphrom.models.contract import BEST, Ability, family_of
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import Curve, Field, Frame, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures
-from sphrom.store.stored_run import StoredRun, probes_of
+from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -85,7 +87,7 @@ def _figures(stored: StoredComparison, tables: Tables) -> Iterator[tuple[str, Dr
     for basis in case.plan.bases if case.rom else ():
         sizes = model_sizes(workspace, basis)
         yield f"singular-values-{basis}", partial(draw_spectrum, workspace, basis, sizes)
-        if not case.scene.has_surface:
+        if Ability.MODE_FIELDS in family_of(case).abilities:
             yield f"modes-{basis}", partial(draw_modes, workspace, basis)
 
 

@@ -48,18 +48,12 @@ Cell = str | Callable[[Cells], str]
 Column = tuple[str, Cell]
 """A heading, with the name of a figure or a function that returns the cell."""
 
-BEST, ALONE = "best possible", "each field alone"
 AT_END = tuple(f"{quantity}_field_relative_l2_end" for quantity in QUANTITIES)
 WITHOUT_SOUND = tuple(
     f"pressure_{where}_without_sound_relative_l2{peak}"
     for where in ("field", "line")
     for peak in ("", "_peak")
 )
-
-
-def best_name(basis: str, n_modes: int) -> str:
-    """Return the name of the projection of full runs onto so many modes of a basis."""
-    return f"{BEST}, {basis} M={n_modes}"
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -19,21 +18,16 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.kernels import ask_for_threads, asked_for
-from sphrom.machine import seconds_of
 from sphrom.metrics.histories import compression_factors
-from sphrom.models.particles.runs import build_model, close
-from sphrom.models.points.fast_model import fast_model
+from sphrom.models.contract import basis_used, family_of, model_of
+from sphrom.models.fom import seconds_of_steps
 from sphrom.setup import particles
-from sphrom.sph.time_loop import Model, runge_kutta_step
-from sphrom.store.trained_models import basis_used, memory_timing
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
 
 SECONDS = {"unit": "s"}
 N_REPEATS = 5
 """Number of timings of each run, in turns; the least counts, and all give the spread."""
-N_TIMED_STEPS = 10
-"""Number of steps per timing, because only some steps search for neighbours."""
 
 
 @dataclass(frozen=True)
@@ -104,33 +98,8 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
         position, density, velocity = snapshot_fields(run, run.length("time") // 2)
     state = np.vstack((position.T, density, velocity.T))
     model = particles.functional(case, point)
-    return _steps_timer(case, model, state, case.plan.steps.time_step, step)
-
-
-def particle_run_timer(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, step: float
-) -> Callable[[], float]:
-    """Return a function that measures the seconds of a reduced run on particles."""
-    case = workspace.case
-    reduced, state = build_model(workspace, model, point)
-    close(case, model, reduced, state, case.plan.steps.start_time)
-    return _steps_timer(case, reduced, state, step, step)
-
-
-def _steps_timer(
-    case: Case, model: Model, state: Array, step: float, counted: float
-) -> Callable[[], float]:
-    begin = case.plan.steps.start_time
-    n_steps = case.plan.recorded_time / counted
-
-    def seconds() -> float:
-        now = model.wrapped(state)
-        started = time.process_time()
-        for number in range(N_TIMED_STEPS):
-            now = runge_kutta_step(model.rates, now, begin + number * step, step)
-        return (time.process_time() - started) / N_TIMED_STEPS * n_steps
-
-    return seconds
+    own_step = case.plan.steps.time_step
+    return partial(seconds_of_steps, case, model, state, own_step, step)
 
 
 def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
@@ -142,7 +111,7 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
     plan = case.plan
     rows: list[tuple[RunTiming, object]] = []
     timers: dict[object, Callable[[], float]] = {}
-    fast = {m.name: fast_model(workspace, m) for m in case.rom if m.from_operators}
+    models = {section.name: model_of(workspace, section) for section in case.rom}
     for point, model in ((p, m) for p in plan.points for m in plan.compared_at(p)):
         with workspace.open(workspace.full_run(point)) as run:
             imported = is_imported(run)
@@ -152,16 +121,13 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
                 continue
             step = run.number("time_step")
             memory_length = _number(run, "memory_length")
-            n_modes = int(run.dataset("generalized_coordinates").shape[1])
-        if case.scene.has_surface:  # the surface has coordinates, too
-            n_modes = basis_used(workspace, model, point)[1]
-        key = (model.name, model.from_operators and point)
+        n_modes = basis_used(workspace, model, point)[1]
+        reduced_model = models[model.name]
+        key = (model.name, None if reduced_model.family.costs_alike else point)
         if not imported and FULL not in timers:
             timers[FULL] = full_run_timer(workspace, point, largest_step(case))
-        if (quick := fast.get(model.name)) is not None:
-            timers[key] = partial(seconds_of, quick.runner(point))
-        elif key not in timers:
-            timers[key] = particle_run_timer(workspace, model, point, step)
+        if key not in timers:
+            timers[key] = reduced_model.timer(point, step)
         compression, field_compression = compression_factors(plan.n_particles, n_modes)
         row = RunTiming(
             model=model.name,
@@ -257,20 +223,11 @@ def offline_seconds(
     if plan.packed and workspace.packing().path.exists():
         with workspace.open(workspace.packing()) as packing:
             training += _computing_seconds(packing)
-    offline = training
-    stages = [*map(workspace.mapped, trained), workspace.basis()]
-    if not workspace.case.scene.has_surface:
-        stages.append(workspace.splines())
-    for stage in stages:
+    family = family_of(workspace.case, model)
+    offline = training - family.others_seconds(workspace, model, list(names))
+    for stage in (*map(workspace.mapped, trained), *family.made_from(workspace)):
         with workspace.open(stage) as artifact:
             offline += _computing_seconds(artifact)
-    if model.from_operators:
-        with workspace.open(workspace.operators()) as artifact:
-            offline += _computing_seconds(artifact) - sum(
-                artifact.number(memory_timing(basis, size))
-                for basis, size in plan.memory_models
-                if model.projection != "apg" or basis not in names or size != model.size
-            )
     return offline, training
 
 

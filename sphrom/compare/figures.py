@@ -29,9 +29,9 @@ from sphrom.case.study_sections import (
 from sphrom.compare.basis_figures import draw_spectrum, mode_fields
 from sphrom.compare.comparison_figures import LABELS, RunFigures, lettered
 from sphrom.compare.stored_comparison import StoredComparison
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import COLOURS, Curve, Field, Panel, draw_grid, save
 from sphrom.setup.context import StageContext
-from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

@@ -18,7 +18,6 @@ from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.runs import MeasuredOnce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import (
     DRY,
     ONLY_NOISE,
@@ -37,18 +36,8 @@ from sphrom.metrics.measures import (
     with_coefficients,
 )
 from sphrom.metrics.series import NO_OSCILLATION, dominant_frequency, kinetic_energy
-from sphrom.models.points.basis_model import quantities_of
-from sphrom.models.points.fast_model import FastModel
-from sphrom.reduction.trial_basis import mean_density_fluctuation, project
-from sphrom.setup.particles import MeasuredFields
-from sphrom.store.stored_run import StoredRun
-from sphrom.store.workspace import Workspace
-
-SURFACE = "surface"
-"""Name of the elevation of the whole surface in tables."""
-Measured = Mapping[str, Quantities]
-"""Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
-
+from sphrom.models.contract import Measured
+from sphrom.models.stored_run import StoredRun
 
 Pair = tuple[float | None, float | None]
 """Errors over all times and at the worst time [%]."""
@@ -87,33 +76,6 @@ class MeasureRow:
     """Root mean square error over time and places, in `unit`."""
     remark: str
     """Why there is no relative error."""
-
-
-def measured_of_map(case: Case, mapped: Artifact) -> Measured:
-    """Measure the fields of mapped snapshots, which have no forces."""
-    measure = MeasuredFields.of(case)
-    if measure is None:
-        return {}
-    position = mapped.read("reference_position")
-    states = zip(mapped.dataset("density_fluctuation"), mapped.dataset("velocity"), strict=True)
-    series = [measure(position, np.asarray(d), np.asarray(v)) for d, v in states]
-    return {
-        name: {quantity: np.array([one[name][quantity] for one in series]) for quantity in first}
-        for name, first in series[0].items()
-    }
-
-
-def measured_of_best(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
-) -> Measured:
-    """Measure the nearest states in the basis of a model, with the model's operators."""
-    fast = FastModel(workspace, model)
-    time = mapped.read("time")
-    reduced = fast.at(point)
-    density = mapped.read("density_fluctuation")
-    coordinates = project(reduced.basis, density, mapped.read("velocity"))
-    mean = mean_density_fluctuation(reduced.basis, density)
-    return quantities_of(workspace.case, reduced, time, coordinates, mean)
 
 
 def measured_estimates(case: Case, run: Artifact) -> Measured:
@@ -260,7 +222,7 @@ def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None
 
 
 def flow_row(
-    case: Case, name: str, point: ParameterPoint, run: StoredRun, samples: Samples, probes: Probes
+    case: Case, point: ParameterPoint, run: StoredRun, samples: Samples, probes: Probes
 ) -> FlowRow:
     """Describe the flow of a run, full or reduced, from its fields and its samples at probes."""
     figures = []
@@ -281,7 +243,7 @@ def flow_row(
         with suppress(ValueError):
             frequency = dominant_frequency(samples.time[counted], crosswise[counted])
     return FlowRow(
-        run=name,
+        run=run.name,
         parameters=point.label,
         from_time=float(run.time[counted][0]),
         to_time=float(run.time[-1]),

@@ -27,11 +27,12 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.import_options import place
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.artifact_folder import Target, make_folder
-from sphrom.store.stored_run import StoredRun, probes_of
+from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.whole_files import replacement
 
@@ -143,11 +144,11 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
     with workspace.open(item.target) as artifact:
         shapes = {name: artifact.dataset(name).shape for name in artifact.datasets}
         computed: dict[str, Callable[[Any], Array]] = {}
-        if model and point and model.from_operators and POINTS not in artifact:
-            run = StoredRun(workspace, artifact, point, model)
+        run = StoredRun.of(workspace, artifact, point, model) if model and point else None
+        if run is not None and run.is_computed and POINTS not in artifact:
             sound_speed = workspace.case.plan.sound_speed
             points = run.position(0)
-            state = lru_cache(maxsize=1)(run.rebuilt)
+            state = lru_cache(maxsize=1)(run.state)
             computed = {
                 POINTS: points.__getitem__,
                 "density_fluctuation": lambda index: state(index)[0],

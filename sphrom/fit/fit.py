@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +28,6 @@ from sphrom.fit.forward_model import (
     FittedModel,
     TrainingDifferences,
     box_of,
-    error_samples,
     fitted_model,
 )
 from sphrom.fit.measurements import Measurements, read_measurements
@@ -43,8 +43,7 @@ from sphrom.metrics.estimation import (
     undetermined_shares,
 )
 from sphrom.metrics.series import NO_OSCILLATION
-from sphrom.models.points.fast_model import FastModel, fast_model
-from sphrom.models.surface.model import SurfaceModel
+from sphrom.models.contract import Model, model_of
 from sphrom.plots.panels import FORMATS, Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
@@ -196,7 +195,7 @@ def run(
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())
     box = box_of(studies.fit_ranges(case, model), studies.fit_values(case, model))
-    fitted = fit(fast_model(workspace, model), box, data, {})
+    fitted = fit(model_of(workspace, model), box, data, {})
     if must_make:
         with workspace.create(target) as artifact:
             write_record(artifact, fitted)
@@ -249,7 +248,7 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
 
 
 def fit(
-    fast: FastModel | SurfaceModel,
+    fast: Model[Any],
     box: studies.Box,
     measurements: Measurements,
     known: TrainingDifferences,
@@ -281,10 +280,10 @@ def fit(
         still = f", or has {NO_OSCILLATION}," * bool(case.plan.oscillations)
         raise UnstableError(f"{fast.section.name} is unstable{still} at all starts of the search")
     start = first[0].place
-    samples = error_samples(model, start, known)
+    samples = model.error_samples(start, known)
     refined = first
     if samples is not None:
-        time = model.reduced(model.point(start)).output_times.time
+        time = model.times(start)
         each = [model.at_instants(time, sample) for sample in samples]
         weights = Weights(measurements.noise, np.stack(each))
         refined = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
@@ -304,7 +303,7 @@ def fit(
         correlation=spread.correlation,
         eigenvalues=spread.eigenvalues,
         directions=spread.directions,
-        time=model.reduced(model.point(best.place)).output_times.time,
+        time=model.times(best.place),
         history=histories,
         estimate_names=",".join(each.parameter for each in estimates),
         remarks=",".join(each.remark for each in estimates),

@@ -22,17 +22,16 @@ from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, combined, items
+from sphrom.models.contract import Ability, Model
 from sphrom.models.points.basis_model import quantities_of
 from sphrom.models.points.fast_model import FastModel
-from sphrom.models.points.sensitivities import STEP, tangents
-from sphrom.models.surface.model import SurfaceModel
+from sphrom.models.points.sensitivities import STEP
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.particles import MeasuredFields
-from sphrom.store.surfaces import SurfaceModelAt
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.text import exact
 
@@ -40,7 +39,7 @@ TrainingDifferences = dict[Hashable, tuple[Array, Array]]
 """Differences in training runs with the sizes of errors, by basis and histories, for all fits."""
 
 DIFFERENCE = 1e-3
-"""Of the place, from which derivatives of models of a free surface follow."""
+"""Of the place, from which derivatives of models without sensitivities follow."""
 FINER = 2
 """Number of steps over that of the finest run; all parameters use the same number."""
 
@@ -64,10 +63,8 @@ def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
 class FittedModel:
     """A model's values at the measured times and places, over the unit box of free parameters."""
 
-    def __init__(
-        self, fast: FastModel | SurfaceModel, box: Box, histories: Sequence[History]
-    ) -> None:
-        self.fast: Any = fast  # its kind is that of the class
+    def __init__(self, fast: Model[Any], box: Box, histories: Sequence[History]) -> None:
+        self.fast = fast
         self.box = box
         self.histories = tuple(histories)
         self._case = fast.workspace.case
@@ -76,6 +73,92 @@ class FittedModel:
         self._instants, self._at = np.unique(np.concatenate(times), return_inverse=True)
         self._which = np.repeat(np.arange(len(times)), [len(time) for time in times])
         self._places = {place: k for k, place in enumerate(unnamed)}
+
+    def point(self, place: Array) -> ParameterPoint:
+        """Return the parameter point at a place in the unit box."""
+        return self._case.plan.point(self.box.values(place))
+
+    def prepare(self, starts: Sequence[Array]) -> None:
+        """Prepare runs at all places, starting from some."""
+
+    def times(self, place: Array) -> Array:
+        """Return the times (n_snapshots,) [s] of the run at a place."""
+        return np.asarray(self.fast.at(self.point(place)).output_times.time)
+
+    def error_samples(self, place: Array, known: TrainingDifferences) -> Array | None:
+        """Return samples of errors of histories (n_samples, n_snapshots, n_histories) at a place.
+
+        Returns None without error estimates, or if necessary full training runs were removed.
+
+        Parameters
+        ----------
+        known : a cache of the differences in training runs, to which new ones are added.
+        """
+        return None
+
+    def __call__(self, place: Array) -> tuple[Array, Array] | None:
+        """Return values (n_values,) and derivatives (n_values, n_free) at a place."""
+        if (histories := self.whole(place)) is None:
+            return None
+        time, values, slopes = histories
+        return self.at_instants(time, values), self.at_instants(time, slopes)
+
+    def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
+        """Return the histories at all snapshots, and their derivatives by the place.
+
+        Times are (n_snapshots,), histories (n_snapshots, n_histories) and derivatives
+        (n_snapshots, n_histories, n_free). Returns None if the run is unstable or has no frequency.
+        """
+        found = self._histories_at(place)
+        slopes = []
+        for k in range(len(place)):
+            ends = np.clip(place[k] + DIFFERENCE * np.array([-1.0, 1.0]), 0.0, 1.0)
+            moved = (np.where(np.arange(len(place)) == k, end, place) for end in ends)
+            low, high = map(self._histories_at, moved)
+            if low is None or high is None:
+                return None
+            slopes.append((high[1] - low[1]) / np.ptp(ends))
+        return None if found is None else (*found, np.stack(slopes, axis=-1))
+
+    def _histories_at(self, place: Array) -> tuple[Array, Array] | None:
+        run = self.fast.run(self.point(place))
+        if run.failure is not None:
+            return None
+        measured = run.measured | self._case.plan.oscillations.of(run.time, run.measured)
+        if self._places:
+            samples = run.sampled(np.array(list(self._places)))
+            measured[UNNAMED] = {"velocity": samples.velocity, "pressure": samples.pressure}
+        found = self.stacked(measured)
+        return (run.time, found) if np.isfinite(found).all() else None
+
+    def stacked(self, measured: Mapping[str, Quantities]) -> Array:
+        """Return the fitted histories (n_snapshots, n_histories) among all measurements."""
+        return np.stack([self._history(measured, h) for h in self.histories], axis=-1)
+
+    def _history(self, measured: Mapping[str, Quantities], history: History) -> Array:
+        values = measured[history.measure][history.quantity]
+        if history.quantity in PLACED:
+            values = values[:, 0 if history.place is None else self._places[history.place]]
+        return values if history.component is None else values[:, history.component]
+
+    def at_instants(self, time: Array, histories: Array) -> Array:
+        """Return histories (n_snapshots, n_histories, ...) at measured times, by cubic splines."""
+        instants = self._instants
+        if len(time) != len(instants) or not np.allclose(time, instants, rtol=0.0, atol=1e-12):
+            from scipy.interpolate import make_interp_spline
+
+            spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
+            histories = np.asarray(spline(np.clip(instants, time[0], time[-1])))
+        return histories[self._at, self._which]
+
+
+class FittedEquations(FittedModel):
+    """The same of a model whose derivatives follow from its equations."""
+
+    fast: FastModel
+
+    def __init__(self, fast: Model[Any], box: Box, histories: Sequence[History]) -> None:
+        super().__init__(fast, box, histories)
         self.unnamed: MeasuredFields | None = None
         """Samples fields at measured places that the case does not name, if there are any."""
         if self._places:
@@ -84,10 +167,6 @@ class FittedModel:
         self._measures: dict[str, Mapping[str, ReducedMeasure]] = {}
         self._stepped: dict[str, ReferenceModel] = {}
         self._n_steps = 1
-
-    def point(self, place: Array) -> ParameterPoint:
-        """Return the parameter point at a place in the unit box."""
-        return self._case.plan.point(self.box.values(place))
 
     def prepare(self, starts: Sequence[Array]) -> None:
         """Choose a number of steps for all runs that is fine enough for those at the starts."""
@@ -130,24 +209,13 @@ class FittedModel:
 
         return reference_model.choose(reduced, steps)
 
-    def __call__(self, place: Array) -> tuple[Array, Array] | None:
-        """Return values (n_values,) and derivatives (n_values, n_free) at a place."""
-        if (histories := self.whole(place)) is None:
-            return None
-        time, values, slopes = histories
-        return self.at_instants(time, values), self.at_instants(time, slopes)
-
     def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
-        """Return the histories at all snapshots, and their derivatives by the place.
-
-        Times are (n_snapshots,), histories (n_snapshots, n_histories) and derivatives
-        (n_snapshots, n_histories, n_free). Returns None if the run is unstable or has no frequency.
-        """
+        """Return the same, with the derivatives of the model's equations."""
         point = self.point(place)
         reduced = self.reduced(point)
         try:
             steps = self.integrator(reduced)
-            run = tangents(self.fast, point, self.box.names, reduced, integrator=steps)
+            run = self.fast.tangents(point, self.box.names, reduced, integrator=steps)
         except UnstableError:
             return None
         measured = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
@@ -166,138 +234,72 @@ class FittedModel:
             return None
         return run.time, histories, np.stack(slopes, axis=-1) * self.box.slopes(place)
 
-    def stacked(self, measured: Mapping[str, Quantities]) -> Array:
-        """Return the fitted histories (n_snapshots, n_histories) among all measurements."""
-        return np.stack([self._history(measured, h) for h in self.histories], axis=-1)
-
-    def _history(self, measured: Mapping[str, Quantities], history: History) -> Array:
-        values = measured[history.measure][history.quantity]
-        if history.quantity in PLACED:
-            values = values[:, 0 if history.place is None else self._places[history.place]]
-        return values if history.component is None else values[:, history.component]
-
-    def at_instants(self, time: Array, histories: Array) -> Array:
-        """Return histories (n_snapshots, n_histories, ...) at measured times, by cubic splines."""
-        instants = self._instants
-        if len(time) != len(instants) or not np.allclose(time, instants, rtol=0.0, atol=1e-12):
-            from scipy.interpolate import make_interp_spline
-
-            spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
-            histories = np.asarray(spline(np.clip(instants, time[0], time[-1])))
-        return histories[self._at, self._which]
-
-
-class FittedSurface(FittedModel):
-    """The same of a model of a free surface, whose derivatives are differences of runs."""
-
-    def prepare(self, starts: Sequence[Array]) -> None:
-        """Do nothing: steps follow from the basis and the depth."""
-
-    def reduced(  # type: ignore[override]
-        self, point: ParameterPoint, basis: str | None = None
-    ) -> SurfaceModelAt:
-        """Return the model at a point."""
-        return self.fast.at(point)
-
-    def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
-        """Return the histories at all snapshots, and their derivatives by the place."""
-        found = self._histories_at(place)
-        slopes = []
-        for k in range(len(place)):
-            ends = np.clip(place[k] + DIFFERENCE * np.array([-1.0, 1.0]), 0.0, 1.0)
-            moved = (np.where(np.arange(len(place)) == k, end, place) for end in ends)
-            low, high = map(self._histories_at, moved)
-            if low is None or high is None:
-                return None
-            slopes.append((high[1] - low[1]) / np.ptp(ends))
-        return None if found is None else (*found, np.stack(slopes, axis=-1))
-
-    def _histories_at(self, place: Array) -> tuple[Array, Array] | None:
-        run = self.fast.run(self.point(place))
-        if run.failure is not None:
+    def error_samples(self, place: Array, known: TrainingDifferences) -> Array | None:
+        """Return samples of errors (n_samples, n_snapshots, n_histories), scaled to a place."""
+        fast = self.fast
+        case = fast.workspace.case
+        point = self.point(place)
+        name = fast.basis_at(point)
+        # Places that the case does not name are sampled in the full runs.
+        needed = map(fast.workspace.full_run, case.plan.bases[name] if self.unnamed else ())
+        if not case.plan.has_error_estimate(name) or not all(t.path.exists() for t in needed):
             return None
-        measured = run.measured | self._case.plan.oscillations.of(run.time, run.measured)
-        if self._places:
-            samples = run.sampled(np.array(list(self._places)))
-            measured[UNNAMED] = {"velocity": samples.velocity, "pressure": samples.pressure}
-        found = self.stacked(measured)
-        return (run.time, found) if np.isfinite(found).all() else None
+        reduced = self.reduced(point)
+        run = fast.run(point, reduced, self.integrator(reduced))
+        if (estimate := run.estimate) is None:
+            return None
+        key = (name, tuple((h.measure, h.place, h.quantity, h.component) for h in self.histories))
+        if key not in known:
+            known[key] = self._differences(name)
+        differences, sizes = known[key]
+        if not len(differences):
+            return None
+        ratios = np.sqrt(np.mean(estimate.errors**2, axis=0) / np.mean(sizes**2, axis=1))
+        of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
+        factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in self.histories]
+        scaled = differences * np.stack(factors, axis=1)[:, None]
+        steps = case.plan.steps
+        time = steps.start_time + steps.snapshot_interval * compared_snapshots(steps.n_snapshots)
+        each = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
+        return np.stack(each).transpose(0, 2, 1)
+
+    def _differences(self, name: str) -> tuple[Array, Array]:
+        """Return the differences of histories in training runs, and the sizes of errors.
+
+        They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s], over the
+        fluid, of complete runs.
+        """
+        workspace = self.fast.workspace
+        trained = self.fast.on_basis(name)
+        points = trained.points
+        compared = compared_snapshots(workspace.case.plan.steps.n_snapshots)
+        differences = []
+        sizes = []
+        oscillations = workspace.case.plan.oscillations
+        if (errors := trained.errors) is None or (known := errors.held_out) is None:
+            return np.zeros(0), np.zeros(0)
+        for row, (k, reduced, own) in enumerate(trained.held_out()):
+            change = items(trained.differences, row)
+            time = reduced.output_times.time
+            predicted = quantities_of(workspace.case, reduced, time, own)
+            full = oscillations.of(time, combined(predicted, change, 1.0))
+            change = items(
+                change | combined(full, oscillations.of(time, predicted), -1.0), compared
+            )
+            if (fields := self.unnamed) is not None:
+                measure = self.reduced(points[k], name).measures[UNNAMED]
+                there = measure.at(own[compared], reduced.mean_density_fluctuation)
+                with workspace.open(workspace.full_run(points[k])) as run:
+                    each = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
+                change[UNNAMED] = {q: np.stack([one[q] for one in each]) - there[q] for q in PLACED}
+            if not np.isfinite(self.stacked(change)).all():
+                continue  # the run does not oscillate
+            differences.append(self.stacked(change))
+            sizes.append(known.errors[row])
+        return np.array(differences), np.array(sizes)
 
 
-def fitted_model(
-    fast: FastModel | SurfaceModel, box: Box, histories: Sequence[History]
-) -> FittedModel:
+def fitted_model(fast: Model[Any], box: Box, histories: Sequence[History]) -> FittedModel:
     """Return a model to fit."""
-    if isinstance(fast, SurfaceModel):
-        return FittedSurface(fast, box, histories)
-    return FittedModel(fast, box, histories)
-
-
-def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) -> Array | None:
-    """Return samples of errors of histories (n_samples, n_snapshots, n_histories) at a place.
-
-    Returns None without error estimates, or if necessary full training runs were removed.
-
-    Parameters
-    ----------
-    known : a cache of the differences in training runs, to which new ones are added.
-    """
-    fast = model.fast
-    case = model.fast.workspace.case
-    point = model.point(place)
-    name = fast.basis_at(point)
-    # Places that the case does not name are sampled in the full runs.
-    needed = map(fast.workspace.full_run, case.plan.bases[name] if model.unnamed else ())
-    if not case.plan.has_error_estimate(name) or not all(t.path.exists() for t in needed):
-        return None
-    reduced = model.reduced(point)
-    run = fast.run(point, reduced, model.integrator(reduced))
-    if (estimate := run.estimate) is None:
-        return None
-    key = (name, tuple((h.measure, h.place, h.quantity, h.component) for h in model.histories))
-    if key not in known:
-        known[key] = _differences(model, name)
-    differences, sizes = known[key]
-    if not len(differences):
-        return None
-    ratios = np.sqrt(np.mean(estimate.errors**2, axis=0) / np.mean(sizes**2, axis=1))
-    of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
-    factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in model.histories]
-    scaled = differences * np.stack(factors, axis=1)[:, None]
-    steps = case.plan.steps
-    time = steps.start_time + steps.snapshot_interval * compared_snapshots(steps.n_snapshots)
-    each = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
-    return np.stack(each).transpose(0, 2, 1)
-
-
-def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
-    """Return the differences of histories in training runs, and the sizes of errors over the fluid.
-
-    They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s], of complete runs.
-    """
-    workspace = model.fast.workspace
-    trained = model.fast.on_basis(name)
-    points = trained.points
-    compared = compared_snapshots(workspace.case.plan.steps.n_snapshots)
-    differences = []
-    sizes = []
-    oscillations = workspace.case.plan.oscillations
-    if (errors := trained.errors) is None or (known := errors.held_out) is None:
-        return np.zeros(0), np.zeros(0)
-    for row, (k, reduced, own) in enumerate(trained.held_out()):
-        change = items(trained.differences, row)
-        time = reduced.output_times.time
-        predicted = quantities_of(workspace.case, reduced, time, own)
-        full = oscillations.of(time, combined(predicted, change, 1.0))
-        change = items(change | combined(full, oscillations.of(time, predicted), -1.0), compared)
-        if (fields := model.unnamed) is not None:
-            measure = model.reduced(points[k], name).measures[UNNAMED]
-            there = measure.at(own[compared], reduced.mean_density_fluctuation)
-            with workspace.open(workspace.full_run(points[k])) as run:
-                each = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
-            change[UNNAMED] = {q: np.stack([one[q] for one in each]) - there[q] for q in PLACED}
-        if not np.isfinite(model.stacked(change)).all():
-            continue  # the run does not oscillate
-        differences.append(model.stacked(change))
-        sizes.append(known.errors[row])
-    return np.array(differences), np.array(sizes)
+    has_tangents = Ability.SENSITIVITIES in fast.family.abilities
+    return (FittedEquations if has_tangents else FittedModel)(fast, box, histories)

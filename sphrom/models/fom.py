@@ -6,21 +6,28 @@ artifact of its own, from which the recorded part can be run again.
 
 from __future__ import annotations
 
+import time
+
+from sphrom.arrays import Array
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records.runs import Packing, Start
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
+from sphrom.models.starts import scene_start, start
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import describe_cost, described_run, require_room
 from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph.packing import MAX_ITERATIONS, pack
-from sphrom.sph.time_loop import Clock, TimeSteps, march
+from sphrom.sph.time_loop import Clock, Model, TimeSteps, march, runge_kutta_step
 from sphrom.store.checkpoints import Checkpoints, integrate, remove_checkpoints
 from sphrom.store.stored_run import inflow_of
-from sphrom.store.trained_models import scene_start, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
+
+N_TIMED_STEPS = 10
+"""Number of steps per timing, because only some steps search for neighbours."""
 
 
 def run(context: StageContext) -> None:
@@ -191,3 +198,17 @@ def _run_point(workspace: Workspace, point: ParameterPoint, shorter: Target | No
                 advance,
                 checkpoints,
             )
+
+
+def seconds_of_steps(case: Case, model: Model, state: Array, step: float, counted: float) -> float:
+    """Return the processor time [s] of a run on particles in steps of `counted` [s].
+
+    It times some steps of another length [s], because the cost of a step doesn't depend on it.
+    """
+    begin = case.plan.steps.start_time
+    now = model.wrapped(state)
+    started = time.process_time()
+    for number in range(N_TIMED_STEPS):
+        now = runge_kutta_step(model.rates, now, begin + number * step, step)
+    seconds = time.process_time() - started
+    return seconds / N_TIMED_STEPS * (case.plan.recorded_time / counted)

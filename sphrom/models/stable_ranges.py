@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.models.contract import basis_used, family_of
 from sphrom.plots.tables import format_figure, read_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA
 from sphrom.sph.fluid import ROUNDING
-from sphrom.store.trained_models import sized_in
 from sphrom.store.workspace import Workspace
 
 FILE = "trade/extremes.json"
@@ -100,12 +100,12 @@ def against(
     if not (ranges := stable_ranges(workspace)):
         return
     if n_modes == AUTO:
-        n_modes = sized_in(workspace, section, plan.basis_for(section, point)).size
+        n_modes = basis_used(workspace, section, point)[1]
     asked = {**point.as_dict(), TIME: plan.model_steps(section).end_time}
     for name, value in ((STEP, section.time_step), (MEMORY, section.memory_length)):
         if isinstance(value, float):
             asked[name] = value
-    kind = "fast" if section.from_operators else "particles"
+    kind = family_of(workspace.case, section).kind
     for each in ranges:
         method = RUNGE_KUTTA if each.varied == STEP else EXPONENTIAL
         is_own = (each.kind, each.projection, each.n_modes) == (kind, section.projection, n_modes)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -30,6 +30,7 @@ from sphrom.reduction.surface_basis import (
     N_COLUMNS,
     N_HEIGHTS,
     SurfaceBasis,
+    TrainedGraph,
     gauss_points,
     integration_columns,
     surface_modes_at,
@@ -231,6 +232,17 @@ class GraphModel:
         x = space.left + space.width / 2 + cosines @ moments / self.depth
         y = space.bottom + self.depth / 2 + np.sum(cosines**2, axis=-1) / (4 * self.depth)
         return np.stack([x, y], axis=-1)
+
+
+def calibrated_model(plain: GraphModel, trained: TrainedGraph) -> GraphModel:
+    """Return a model with what training runs taught models of its size."""
+    return replace(
+        plain,
+        depth=plain.depth + trained.rise,
+        gravity_factor=trained.gravity_factor,
+        gravity_growth=trained.gravity_growth,
+        closure=trained.closure,
+    )
 
 
 def run_many(models: Sequence[GraphModel], times: Array, starts: Sequence[Array]) -> list[GraphRun]:

@@ -6,18 +6,13 @@ They load no kernels, as reading an artifact needs none.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.reduction.stream_functions import StreamSpace, cosine_coordinates
-
-if TYPE_CHECKING:
-    from sphrom.reduction.graph_model import GraphModel
 
 N_COLUMNS, N_HEIGHTS = 24, 6
 """Of the points of integration."""
@@ -153,29 +148,6 @@ class TrainedGraph(Record):
     def error(self) -> float:
         """Of elevation and velocity together, calibrated."""
         return float(np.hypot(self.elevation_error, self.velocity_error))
-
-    def model(
-        self,
-        basis: SurfaceBasis,
-        depth: float,
-        gravity: float,
-        viscosity: float,
-        force: Callable[[Array], Array],
-        calibrated: bool,
-    ) -> GraphModel:
-        """Return the model with a basis of its size; models of one basis share their tables."""
-        from sphrom.reduction.graph_model import GraphModel  # it loads kernels
-
-        plain = GraphModel(basis, depth, gravity, viscosity, force)
-        if not calibrated:
-            return plain
-        return replace(
-            plain,
-            depth=depth + self.rise,
-            gravity_factor=self.gravity_factor,
-            gravity_growth=self.gravity_growth,
-            closure=self.closure,
-        )
 
 
 def chosen_size(trained: Mapping[int, TrainedGraph]) -> int:

@@ -25,6 +25,7 @@ from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
 from sphrom.compare.basis_figures import frame_of
 from sphrom.compare.comparison_figures import QUANTITIES, side_by_side
 from sphrom.compare.comparison_tables import RECORDS, Tables
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
 from sphrom.plots.tables import format_figure, read_csv
 from sphrom.report.page import (
@@ -40,7 +41,7 @@ from sphrom.report.page import (
 )
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import described_run
-from sphrom.store.stored_run import StoredRun, probes_of
+from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import COMPLETE
 from sphrom.sweep.statistics import FIGURES, beside

@@ -1,18 +1,14 @@
-"""The fields of stored runs, full and reduced: on their own points, and at any places.
+"""Full runs at places: the probes of a case, samples of particles, and the inflow of a run.
 
-All access from the artifact of a run to a field at a place goes through this module. Particles are
-sampled by moving least squares, coordinates by the splines of their modes. Measurements of runs at
-places have the same values. Within a spacing of walls they include the walls' velocity.
+Particles are sampled by moving least squares. Measurements of runs at places have the same values.
+Within a spacing of walls they include the walls' velocity.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,156 +16,15 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
-from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.metrics.measures import (
-    Probes,
-    Quantities,
-    Samples,
-    grid_points,
-    midpoints,
-    spread,
-    with_coefficients,
-)
-from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.trial_basis import (
-    TrialBasis,
-    mean_density_fluctuation,
-    project,
-    reconstruct,
-    truncate,
-)
-from sphrom.sph.fluid import fluctuation_of, pressure_of
-from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
-from sphrom.store.trained_models import basis_used, read_basis, read_modes, read_points
-from sphrom.store.trajectory import read_quantities, snapshot_fields
-from sphrom.store.workspace import Workspace
-
-if TYPE_CHECKING:
-    from sphrom.reduction.reference_space import ReferenceMap
-
-
-class StoredRun:
-    """A run of the full model, or of a reduced `model`, at a parameter point, in an open artifact.
-
-    A model on the reference points stores coordinates, from which fields are reconstructed.
-    """
-
-    def __init__(
-        self,
-        workspace: Workspace,
-        run: Artifact,
-        point: ParameterPoint,
-        model: ReducedModelSection | None = None,
-    ) -> None:
-        self._workspace = workspace
-        self._case = workspace.case
-        self._run = run
-        self._point = point
-        self._rebuilt = None if model is None or not model.from_operators else model
-        self.name = FULL if model is None else model.name
-        self._has_surface = workspace.case.scene.has_surface
-        self.time = run.read("time")
-        self.mass = run.number("mass")
-
-    @classmethod
-    @contextmanager
-    def opened(
-        cls, workspace: Workspace, point: ParameterPoint, model: ReducedModelSection | None = None
-    ) -> Iterator[StoredRun]:
-        """Open a run of the case. Raises ArtifactError if it is missing or invalid."""
-        target = workspace.full_run(point) if model is None else workspace.reduced_run(model, point)
-        with workspace.open(target) as run:
-            yield cls(workspace, run, point, model)
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether the run reached its end."""
-        return self._run.text("status") == "complete"
-
-    def measured(self, name: str) -> Quantities:
-        """Return a measurement of the case over time, by quantity (n_snapshots, ...)."""
-        measured = {name: read_quantities(self._run, name)}
-        return with_coefficients(measured, self._case.plan.coefficients)[name]
-
-    @cached_property
-    def _used(self) -> tuple[str, int]:
-        assert self._rebuilt is not None
-        return basis_used(self._workspace, self._rebuilt, self._point)
-
-    @cached_property
-    def _basis(self) -> TrialBasis:
-        name, n_modes = self._used
-        return truncate(read_basis(self._workspace, name), n_modes)
-
-    @cached_property
-    def _coordinates(self) -> Array:
-        return self._run.read("generalized_coordinates")
-
-    @cached_property
-    def _graph(self) -> SurfaceModelAt:
-        assert self._rebuilt is not None
-        return TrainedSurface(self._workspace, self._rebuilt).at(self._point)
-
-    @property
-    def elevation(self) -> Array:
-        """The height y of a reduced model's free surface (n_snapshots, n_columns) [m]."""
-        return self._graph.graph.elevation(self._coordinates, self._case.plan.surface_columns)
-
-    def position(self, snapshot: int) -> Array:
-        """Return the run's own points (n, 2) [m]."""
-        if self._rebuilt is not None and self._has_surface:
-            return self._case.scene.domain.fill(self._case.plan.particle_spacing)
-        if self._rebuilt is not None:
-            return read_points(self._workspace)
-        return np.asarray(self._run.dataset("position")[snapshot])
-
-    def rebuilt(self, snapshot: int) -> tuple[Array, Array]:
-        """Return density fluctuation (n,) [kg/m3] and velocity (n, 2) [m/s] from coordinates."""
-        if self._has_surface:
-            samples = self.sampled(self.position(snapshot), [snapshot])
-            sound_speed = self._case.plan.sound_speed
-            return fluctuation_of(samples.pressure[0], sound_speed), samples.velocity[0]
-        mean = self._run.number("mean_density_fluctuation")
-        return reconstruct(self._basis, self._coordinates[snapshot], mean)
-
-    def fields(self, snapshot: int) -> tuple[Array, Array]:
-        """Return velocity (n, 2) [m/s] and pressure (n,) [Pa] on the run's own points."""
-        if self._rebuilt is None:
-            stored = (self._run.dataset(name)[snapshot] for name in ("velocity", "pressure"))
-            velocity, pressure = map(np.asarray, stored)
-            return velocity, pressure
-        density, velocity = self.rebuilt(snapshot)
-        return velocity, pressure_of(density, self._case.plan.sound_speed)
-
-    def sampled(
-        self,
-        points: Array,
-        snapshots: Sequence[int] | None = None,
-        advance: Callable[[int], None] = lambda done: None,
-    ) -> Samples:
-        """Return velocity and pressure at points (n_points, 2) [m], at some or all snapshots.
-
-        A run that became unstable is sampled as long as there are particles near all points.
-        """
-        chosen = range(len(self.time)) if snapshots is None else snapshots
-        if self._rebuilt is None:
-            return sample_run(self._case, self._run, points, advance, chosen)
-        if self._has_surface:
-            return self._graph.sampled(points, self.time[chosen], self._coordinates[chosen])
-        basis, splines = read_modes(self._workspace, *self._used)
-        means = np.full(len(chosen), self._run.number("mean_density_fluctuation"))
-        coordinates = self._coordinates[chosen]
-        return expand(self._case, basis, splines, points, self.time[chosen], coordinates, means)
-
+from sphrom.metrics.measures import Probes, Samples, grid_points, midpoints, spread
+from sphrom.sph.fluid import pressure_of
+from sphrom.store.trajectory import snapshot_fields
 
 ON_WALL = 1e-6
 """Points closer to a wall than this share of the spacing are on it."""
 MISSED_INFLOW, WRONG_INFLOW = 0.02, 0.2
 """Differences from the target inflow, relative, that are told, and that make a run fail."""
-LEAST_SHARE = 1e-10
-"""Relative size of a combination of modes that contains nothing of a field."""
 
 
 def probes_of(case: Case) -> Probes:
@@ -295,58 +150,3 @@ def inflow_of(case: Case, point: ParameterPoint, trajectory: Artifact) -> Inflow
         f"{100.0 * math.sqrt(np.mean(off**2)) / fastest:.2g} % of its largest speed"
     )
     return Inflow(text, abs(miss))
-
-
-def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples:
-    """Sample mapped snapshots; they contain only the error of the map."""
-    position = mapped.read("reference_position")
-    snapshots = zip(mapped.dataset("density_fluctuation"), mapped.dataset("velocity"), strict=True)
-    fields = [sample(position, density, velocity) for density, velocity in snapshots]
-    density, velocity = map(np.array, zip(*fields, strict=True))
-    return Samples(mapped.read("time"), velocity, pressure_of(density, case.plan.sound_speed))
-
-
-def sample_best(
-    case: Case, mapped: Artifact, basis: TrialBasis, splines: ModeSplines, probes: Probes
-) -> tuple[Samples, Samples]:
-    """Sample the best approximations of mapped snapshots in a basis: of states, and of each field.
-
-    The first result is the projection of states in the inner product of the basis. In the second
-    each field has coordinates of its own, so no state with these modes is closer in either field.
-    """
-    densities = mapped.dataset("density_fluctuation")
-    velocities = mapped.dataset("velocity")
-    snapshots = zip(densities, velocities, strict=True)
-    # Where modes hold the mean density, a state of none has coordinates too: they count once.
-    rest = project(basis, 0.0 * densities[0], 0.0 * velocities[0])
-    parts = [(project(basis, d, 0.0 * v), project(basis, 0.0 * d, v) - rest) for d, v in snapshots]
-    by_density, by_velocity = (np.array(part) for part in zip(*parts, strict=True))
-    share = (basis.density_modes * basis.weights) @ basis.density_modes.T
-    shares = (share, by_density), (np.eye(basis.n_modes) - share, by_velocity)
-    alone = [np.linalg.lstsq(gram, part.T, LEAST_SHARE)[0].T for gram, part in shares]
-    means = np.array([mean_density_fluctuation(basis, density) for density in densities])
-    times = mapped.read("time")
-    states, density, velocity = (
-        expand(case, basis, splines, probes.all, times, coordinates, means)
-        for coordinates in (by_density + by_velocity, *alone)
-    )
-    return states, replace(density, velocity=velocity.velocity)
-
-
-def expand(
-    case: Case,
-    basis: TrialBasis,
-    splines: ModeSplines,
-    points: Array,
-    times: Array,
-    coordinates: Array,
-    mean_density: Array,
-) -> Samples:
-    """Sample the states with coordinates (n_snapshots, n_modes) at points by the modes' splines.
-
-    `mean_density` (n_snapshots,) [kg/m3] is the separate mean of a basis that has one, else zero.
-    """
-    values = splines.values(points).reshape(len(points), -1, 3)
-    fields = np.tensordot(coordinates, values, (1, 1))
-    density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
-    return Samples(times, fields[..., 1:], pressure_of(density, case.plan.sound_speed))

@@ -60,6 +60,30 @@ KINDS: Mapping[str, Kind] = {
 """The kinds of artifacts by the stage that makes them; some stages make two."""
 
 
+@dataclass(frozen=True)
+class ModelFiles:
+    """The artifacts of one family of reduced models."""
+
+    suffix: str
+    """Of the names of its kinds."""
+    modes: str
+    """The dataset of a basis with a row for each mode."""
+    bases: tuple[str, ...]
+    """The artifacts of the modes."""
+    parents: tuple[str, ...]
+    """The artifacts from which its models are built."""
+
+
+MODEL_FILES: Mapping[str, ModelFiles] = {
+    "points": ModelFiles("", "modes/density", ("basis", "splines"), ("basis", "operators")),
+    "particles": ModelFiles(
+        " on particles", "modes/density", ("basis", "splines"), ("basis", "splines")
+    ),
+    "surface": ModelFiles(" of a surface", "stream_modes", ("basis",), ("basis", "operators")),
+}
+"""The artifacts of reduced models by the family that a plan names."""
+
+
 class Workspace(ArtifactFolder):
     """The folder of a case's artifacts, with their names and dependencies."""
 
@@ -73,7 +97,7 @@ class Workspace(ArtifactFolder):
         compare = self.case.compare.model_copy(update={"figures": ()})
         self._without_figures = self.case.model_copy(update={"compare": compare, "scene": scene})
         self._inputs: dict[str, dict[str, object]] = {}
-        self._own_kind = " of a surface" if self.case.scene.has_surface else ""
+        self._files = MODEL_FILES[self.case.plan.family()]
 
     def unphysical(self, point: ParameterPoint) -> list[str]:
         """Return the unphysical effects in the full run at a point."""
@@ -150,12 +174,10 @@ class Workspace(ArtifactFolder):
     def mapped(self, point: ParameterPoint) -> Target:
         """The reference snapshots at a parameter point."""
         parents = {"trajectory": self.full_run(point)}
-        about: dict[str, object] = {"point": point.as_dict()}
-        if self.case.scene.has_surface:
-            about["space"] = vars(self.case.plan.stream_space)
-        elif self.case.reference.points == "relaxed":
+        about: dict[str, object] = {"point": point.as_dict(), **self.case.plan.map_settings}
+        if self.case.plan.relaxed_points:
             parents["points"] = self.full_run(self.case.plan.train_points[0])
-        return self._target(f"map{self._own_kind}", point.file_label, about, parents)
+        return self._target(f"map{self._files.suffix}", point.file_label, about, parents)
 
     def basis(self) -> Target:
         """The trial bases."""
@@ -163,9 +185,8 @@ class Workspace(ArtifactFolder):
         parents = self._mapped(plan.train_points)
         if self.case.basis.lagrangian:
             parents |= self._full_runs(plan.train_points)
-        kept = "stream_modes" if self._own_kind else "modes/density"
-        modes = {f"bases/{n}/{kept}": plan.basis_size(n) for n in plan.bases}
-        return self._target(f"pod{self._own_kind}", "", {}, parents, modes)
+        modes = {f"bases/{n}/{self._files.modes}": plan.basis_size(n) for n in plan.bases}
+        return self._target(f"pod{self._files.suffix}", "", {}, parents, modes)
 
     def splines(self) -> Target:
         """The splines of the modes."""
@@ -176,11 +197,10 @@ class Workspace(ArtifactFolder):
     def operators(self) -> Target:
         """The projected operators on the reference points, or trained models with a surface."""
         plan = self.case.plan
-        if self._own_kind:
+        kind = f"operators{self._files.suffix}"
+        if "splines" not in self._files.bases:
             parents = {"basis": self.basis(), **self._mapped(plan.train_points)}
-            return self._target(
-                "operators of a surface", "", {"sizes": plan.surface_sizes}, parents
-            )
+            return self._target(kind, "", {"sizes": plan.surface_sizes}, parents)
         trained = dict.fromkeys(p for name in plan.reference_bases for p in plan.bases[name])
         parents = {"basis": self.basis(), **self._mapped(trained)}
         if self.case.scene.measure:
@@ -193,17 +213,17 @@ class Workspace(ArtifactFolder):
             "sized": plan.sized_bases,
             "varied": plan.parameter_names[1:],
         }
-        return self._target("operators", "", about, parents)
+        return self._target(kind, "", about, parents)
 
     def model(self, model: ReducedModelSection) -> Target:
         """A trained model from operators, which runs without them."""
         about = _about(model, "parameters")
         made_from = self._trained(model)
-        return self._target(f"model{self._own_kind}", model.name, about, made_from)
+        return self._target(f"model{self._files.suffix}", model.name, about, made_from)
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """The run of a reduced model at a parameter point."""
-        kind = f"rom{self._own_kind}" if model.from_operators else "rom on particles"
+        kind = f"rom{MODEL_FILES[self.case.plan.family(model)].suffix}"
         parents = self._trained(model) | self._start(self.case.plan.start_point(point))
         about = {"point": point.as_dict(), **_about(model, "parameters")}
         return self._target(kind, f"{model.name}-{point.file_label}", about, parents)
@@ -213,9 +233,7 @@ class Workspace(ArtifactFolder):
         plan = self.case.plan
         parents = self._full_runs(plan.points)
         if self.case.rom:
-            parents |= {**self._mapped(plan.points), "basis": self.basis()}
-            if not self._own_kind:
-                parents["splines"] = self.splines()
+            parents |= self._mapped(plan.points) | self._named(self._files.bases)
         for model in filter(plan.ends_with_case, self.case.rom):
             for point in filter(plan.points.__contains__, plan.rom_points(model)):
                 parents[f"rom-{model.name}-{point.file_label}"] = self.reduced_run(model, point)
@@ -249,9 +267,14 @@ class Workspace(ArtifactFolder):
 
     def _trained(self, model: ReducedModelSection) -> dict[str, Target]:
         """Return the artifacts from which a reduced model is built."""
-        if model.from_operators:
-            return {"basis": self.basis(), "operators": self.operators()}
-        return {"basis": self.basis(), "splines": self.splines()}
+        return self._named(MODEL_FILES[self.case.plan.family(model)].parents)
+
+    def bases(self) -> list[Target]:
+        """The trial bases, and the splines of their modes if there are any."""
+        return list(self._named(self._files.bases).values())
+
+    def _named(self, names: Iterable[str]) -> dict[str, Target]:
+        return {name: getattr(self, name)() for name in names}
 
     def _full_runs(self, points: Iterable[ParameterPoint]) -> dict[str, Target]:
         return {f"fom-{point.file_label}": self.full_run(point) for point in points}

@@ -19,17 +19,15 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import SCHEMAS, Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.sweep import Statistics
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_name
 from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
-from sphrom.metrics.series import kinetic_energy
-from sphrom.models import fom, rom
-from sphrom.models.points.error_estimates import measured_errors, measured_sizes
-from sphrom.models.points.fast_model import FastRun, fast_model
-from sphrom.models.points.sensitivities import tangents
-from sphrom.models.surface.model import SurfaceRun
+from sphrom.models import fom, stages
+from sphrom.models.contract import Ability, ModelRun, family_of, model_of
+from sphrom.models.stored_run import StoredRun
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
@@ -86,6 +84,12 @@ def _swept(task: Task) -> SweptModel:
     return SweptModel(Workspace(task.context(resume=not task.force)))
 
 
+def runs_alone(case: Case) -> bool:
+    """Return whether the runs of a case's sweep take no particles, and little time."""
+    model = sweep_model(case)
+    return model is not None and Ability.RUNS_ALONE in family_of(case, model).abilities
+
+
 class SweptModel:
     """The model of a sweep, at any parameter point."""
 
@@ -93,8 +97,9 @@ class SweptModel:
         self.workspace = workspace
         self._model = sweep_model(workspace.case)
         self._fast = None
-        if self._model is not None and self._model.from_operators:
-            self._fast = fast_model(workspace, self._model)
+        if runs_alone(workspace.case):
+            assert self._model is not None
+            self._fast = model_of(workspace, self._model)
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
@@ -112,7 +117,7 @@ class SweptModel:
             if model is None:
                 target = fom.ensure_run(workspace, point)
             else:
-                target = rom.ensure_run(workspace, model, point)
+                target = stages.ensure_run(workspace, model, point)
         except UnstableError as error:
             return RunRecord(point, UNSTABLE, str(error))
         return self._of_trajectory(point, target)
@@ -133,19 +138,16 @@ class SweptModel:
         with self.workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 return RunRecord(point, UNSTABLE, trajectory.text("status_detail"))
-            velocities = trajectory.dataset("velocity")
-            mass = trajectory.number("mass")
-            speed = max(float(np.hypot(*velocity.T).max()) for velocity in velocities)
-            energies = np.array([kinetic_energy(velocity, mass) for velocity in velocities])
+            run = StoredRun.of(self.workspace, trajectory, point, self._model)
             step = trajectory.number("time_step")
-            values = _values(trajectory.read("time"), step, energies, speed)
+            values = _values(run.time, step, run.kinetic_energy, run.largest_speed)
             if self._model is not None:
                 values["generalized_coordinates"] = trajectory.read("generalized_coordinates")
             values |= _kept(measured_of(self.workspace.case, trajectory))
         remove_checkpoints(target)
         return RunRecord(point, COMPLETE, values=values)
 
-    def _of_fast(self, run: FastRun | SurfaceRun) -> RunRecord:
+    def _of_fast(self, run: ModelRun) -> RunRecord:
         """Return the record of a run of a model from operators."""
         if run.failure is not None:
             return RunRecord(run.point, UNSTABLE, str(run.failure))
@@ -159,14 +161,14 @@ class SweptModel:
                 f"{ERROR}velocity_over_time": estimate.velocity,
                 f"{ERROR}pressure_over_time": estimate.pressure,
             }
-            columns = self.workspace.case.scene.columns
-            if columns and isinstance(run, FastRun):
-                found = measured_sizes(run, measured_errors(run))
+            if columns := self.workspace.case.scene.columns:
+                found = run.measured_sizes
                 pairs = [found.get(column, (0.0, 0.0)) for column in columns]
                 values |= zip(MEASURED_ERRORS, np.sqrt(pairs).T, strict=True)
         values |= _kept(run.measured)
         derivatives: dict[str, float] = {}
-        if isinstance(run, FastRun) and self.workspace.case.sweep.sensitivities:
+        can_differ = Ability.SENSITIVITIES in run.model.family.abilities
+        if can_differ and self.workspace.case.sweep.sensitivities:
             derivatives = _derivatives(run)
             values["derivatives"] = np.array([*derivatives.values()])
         return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
@@ -186,10 +188,10 @@ def _kept(measured: dict[str, Quantities]) -> dict[str, Array]:
     return field_datasets({name: of_a_run(quantities) for name, quantities in measured.items()})
 
 
-def _derivatives(run: FastRun) -> dict[str, float]:
+def _derivatives(run: ModelRun) -> dict[str, float]:
     """Return the derivatives of the figures at the end of a run, by column."""
     case = run.model.workspace.case
-    slopes = tangents(run.model, run.point, case.plan.parameter_names, run.reduced)
+    slopes = run.model.tangents(run.point, case.plan.parameter_names, run.reduced)
     columns = {"kinetic_energy": slopes.kinetic_energy[:, -1]}
     for name, section in case.scene.measure.items():
         for quantity in section.quantities:  # empty for lines

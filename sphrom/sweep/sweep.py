@@ -46,6 +46,7 @@ from sphrom.sweep.batches import (
     read_points,
     read_records,
     require_folder,
+    runs_alone,
     write_sweep,
 )
 from sphrom.sweep.workers import Failure, check_options, start_workers
@@ -154,7 +155,7 @@ def _make(
     for parent in workspace.sweep().parents.values():
         workspace.require(parent)
     # A task has many runs from operators, because these are short.
-    in_batches = model is not None and model.from_operators
+    in_batches = runs_alone(case)
     n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
     number = min(number or runs_that_fit(case, "fom" if model is None else "rom"), n_tasks)
     # The case of a task has no values, because each process would parse a long list again.
@@ -362,7 +363,7 @@ def _missing(case: Case, rows: Sequence[Cells], records: Sequence[RunRecord]) ->
                 f"{name}: {without} of {len(complete)} runs have no frequency and no amplitude, "
                 f"and statistics leave them out: {NO_OSCILLATION}"
             )
-    for name in case.scene.measured_fields if case.scene.has_surface else ():
+    for name in case.scene.measured_fields if case.plan.with_weight else ():
         path = f"measure/{name}/pressure"
         if dry := sum(bool((r.values.get(path, np.ones(1)) == 0.0).any()) for r in records):
             yield f"{name}: {DRY} in {dry} of {len(complete)} runs; zeros count in its statistics"

@@ -22,11 +22,11 @@ from sphrom.case.studies import at_resolution
 from sphrom.case.study_sections import TradeSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import Probes, Samples
-from sphrom.models import fom
-from sphrom.models.points import operators
+from sphrom.models import fom, stages
+from sphrom.models.contract import Ability, family_of
+from sphrom.models.stored_run import StoredRun
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
-from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 FOLDER = "trade"
@@ -77,7 +77,7 @@ def candidates(
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
     ends = {"galerkin": available}
     # The closure has operators for the viscosity only.
-    if not (case.plan.driving or case.scene.has_surface):
+    if Ability.MEMORY in family_of(case).abilities and not case.plan.driving:
         own = also if first.projection == "apg" else ()
         ends["apg"] = min(available, max((MOST_CLOSED_MODES, *own)))
     for projection, end in ends.items():
@@ -100,15 +100,14 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     """
     own = context.case
     workspace = Workspace(context)
-    workspace.require(workspace.basis())
-    if not own.scene.has_surface:
-        workspace.require(workspace.splines())
+    for target in workspace.bases():
+        workspace.require(target)
     wider = replace(context, case=own.model_copy(update={"rom": (*own.rom, *models)}))
     parts = ("reference_bases", "memory_models", "corrected_bases", "surface_sizes")
     kinds = "operators", "surface-operators"
     if any(getattr(wider.case.plan, part) != getattr(own.plan, part) for part in parts):
         wider = replace(wider, folders=dict.fromkeys(kinds, context.out / FOLDER))
-        operators.run(_own_context(wider))
+        stages.project(_own_context(wider))
     workspace = Workspace(wider)
     workspace.require(workspace.operators())
     return workspace

@@ -28,15 +28,14 @@ from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.metrics.histories import relative_l2, without_mean
 from sphrom.metrics.measures import Samples
-from sphrom.models import fom
+from sphrom.models import fom, stages
+from sphrom.models.contract import Ability, family_of
 from sphrom.models.particles.runs import build_model, close, doubts_of_step
-from sphrom.models.points import basis as pod
-from sphrom.models.points import map as map_stage
-from sphrom.models.points import operators
-from sphrom.models.points import splines as fit_psi
 from sphrom.models.points.basis_model import BasisModel
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.models.stable_ranges import MEMORY, STEP, TIME
+from sphrom.models.starts import start
+from sphrom.models.stored_run import StoredRun
 from sphrom.reduction.particle_model import reduced_jacobian
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA, steps_within
 from sphrom.reduction.reduced_operators import stability_limits
@@ -45,8 +44,7 @@ from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import fluctuation_of, pressure_of
 from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
-from sphrom.store.stored_run import StoredRun, probes_of
-from sphrom.store.trained_models import sized_in, start
+from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
 from sphrom.trade.candidates import (
@@ -161,15 +159,15 @@ class Maps:
 
     def __init__(self, context: StageContext, quick: bool) -> None:
         case = context.case
-        if case.scene.has_surface:
-            raise CaseError("--extremes: maps no models of a free surface")
+        family_of(case).require(Ability.EXTREMES, "--extremes")
         basis = global_basis(case)
-        own = sized_in(Workspace(context), first_model(case), basis)
+        first = first_model(case)
+        n_modes = family_of(case, first).sized(Workspace(context), first, basis).size
         self.factors, self.quick = QUICK if quick else FACTORS, quick
         self.notes: list[str] = []
         self.point = context.chosen(trade_points(case))[0]
-        self.default = own.projection, own.size
-        sections = candidates(case, (self.point,), basis, own.size)
+        self.default = first.projection, n_modes
+        sections = candidates(case, (self.point,), basis, n_modes)
         self.workspace = prepared(context, sections)
         self.case = case
         self.grid = probes_of(case).grid
@@ -375,8 +373,9 @@ class Maps:
         context = self.workspace.context
         context = replace(context, only=None, report=context.report.brief(label=variant.name))
         own = workspace_of(Workspace(context), variant, folders)
-        for stage in (fom, map_stage, pod, fit_psi, operators):
-            stage.run(own.context)
+        fom.run(own.context)
+        stages.map_runs(own.context)
+        stages.make_operators(own.context)
         return own
 
     # Runs

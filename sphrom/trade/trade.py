@@ -22,10 +22,9 @@ from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import Samples, parts, since, variations, without_weight
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.series import NO_OSCILLATION
-from sphrom.models.points.error_estimates import measured_errors, measured_shares
-from sphrom.models.points.fast_model import FastModel, fast_model
+from sphrom.models.contract import Model, model_of
+from sphrom.models.fom import N_TIMED_STEPS
 from sphrom.models.stable_ranges import TIME, StableRange, stable_ranges
-from sphrom.models.surface.model import SurfaceModel, SurfaceRun
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL
@@ -158,7 +157,7 @@ class _Trade:
 
     def _of(self, section: ReducedModelSection) -> Rows:
         """Run a reduced model at all points; return its rows."""
-        fast = fast_model(self.wider, section)
+        fast = model_of(self.wider, section)
         family = "APG" if section.projection == "apg" else "Galerkin"
         own = [m for m in self.case.rom if m.model_copy(update={"name": section.name}) == section]
         label = f"{family}, M = {section.size}" + (f" ({own[0].name})" if own else "")
@@ -180,9 +179,7 @@ class _Trade:
         )
         return row, runs
 
-    def _fast(
-        self, fast: FastModel | SurfaceModel, label: str, point: ParameterPoint
-    ) -> weighing.RunRow:
+    def _fast(self, fast: Model[Any], label: str, point: ParameterPoint) -> weighing.RunRow:
         measure = self.measured
         role = role_of(self.case, fast.basis_at(point), point)
         run, seconds = fast.timed(point, self.case.trade.repeats)
@@ -194,10 +191,8 @@ class _Trade:
         row = self._row(point, samples, seconds, model=label, role=role, time_step=run.time_step)
         if measure is None or samples is None or self.oscillating is not None:
             return row
-        if isinstance(run, SurfaceRun):  # it has no estimates
-            return row
         first = f"{measure}_{next(iter(run.measured[measure]))}"
-        estimate = measured_shares(run, measured_errors(run)).get(first)
+        estimate = run.measured_shares.get(first)
         return replace(row, errors={**row.errors, weighing.ESTIMATE: estimate})
 
     def _row(
@@ -237,7 +232,7 @@ class _Trade:
         compared &= self.case.plan.counted(self.measured or "", full.time)
         for quantity, reference in full.measured.items():
             values, exact = samples.measured[quantity][compared], reference[compared]
-            sizes = variations(quantity, exact, with_weight=self.case.scene.has_surface)
+            sizes = variations(quantity, exact, with_weight=self.case.plan.with_weight)
             found, expected = (parts(quantity, each) for each in (values, exact))
             for part, size in sizes.items():
                 both = relative_errors(part, found[part], expected[part], size)
@@ -314,7 +309,7 @@ def timed_words(case: Case) -> str:
     return (
         f"online is the time of a run of {case.plan.recorded_time:g} s on one thread, without "
         f"reading and writing, the least of {counted(case.trade.repeats, 'time')}; full runs are "
-        f"timed over {costs.N_TIMED_STEPS} steps, and the case's own has its largest stable step"
+        f"timed over {N_TIMED_STEPS} steps, and the case's own has its largest stable step"
         f"{spin_up if case.time.spin_up > 0.0 else ''}"
     )
 

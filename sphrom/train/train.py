@@ -30,11 +30,8 @@ from sphrom.case.study_sections import percentage
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.histories import QUANTITIES
 from sphrom.metrics.measures import since
-from sphrom.models import fom
-from sphrom.models.points import basis as pod
-from sphrom.models.points import map as map_stage
-from sphrom.models.points import operators
-from sphrom.models.points import splines as fit_psi
+from sphrom.models import fom, stages
+from sphrom.models.contract import Ability, family_of
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_csv, write_json
@@ -358,11 +355,7 @@ class _Training:
         self._at_once, self._scheduler = workers, scheduler
         self.section = self.case.training
         model = fast_section(self.case, self.section.model)
-        if self.case.scene.has_surface:
-            raise CaseError(
-                "training: needs estimates of errors, which models of a free surface don't have; "
-                "list the runs to train on in parameters.train"
-            )
+        family_of(self.case).require(Ability.TRAINING, "training")
         if not self.section.ranges or model is None:
             raise CaseError(
                 "training: the case has no region of parameters; give ranges, such as --set "
@@ -469,7 +462,7 @@ class _Training:
                         problems[point] = run.text("status_detail")
         stable = tuple(point for point in points if point not in problems)
         report = context.report.brief(progress=True)
-        map_stage.run(replace(workspace.context, only=stable, report=report))
+        stages.map_runs(replace(workspace.context, only=stable, report=report))
         return problems
 
     def _predicted(self, stage: Stage, model: StageModel) -> tuple[HeldOut, ...]:
@@ -506,8 +499,8 @@ class _Training:
         existing = [target for target in targets if target.path.exists()]
         kept = [each.path.name for each in existing if here.reason_to_make(each) is not None]
         context = replace(here.context, report=here.context.report.brief(progress=True))
-        for stage in () if kept else (pod, fit_psi, operators):
-            stage.run(context)
+        if not kept:
+            stages.make_operators(context)
         return kept
 
 
@@ -533,8 +526,7 @@ class StageModel:
             folders=dict.fromkeys(MADE_HERE, Workspace(context).folder(FOLDER)),
             report=context.report.brief(progress=True),
         )
-        for stage in (pod, fit_psi, operators):
-            stage.run(context)
+        stages.make_operators(context)
         self.workspace = Workspace(context)
         self._points = points
         self._fast = FastModel(self.workspace, model)

@@ -104,8 +104,9 @@ def test_the_recommended_model_is_the_fastest_of_the_most_accurate() -> None:
         far = replace(row, role="extrapolated", errors=errors_of(50.0 / pressure, 99.0))
         tables.errors.extend([row, far])
         tables.timings.append(replace(TIMING, model=name, reduced_seconds=seconds))
-        rom.append(SimpleNamespace(name=name, from_operators=fast))
-    names = [model.name for model in _by_preference(SimpleNamespace(rom=rom), tables)]
+        rom.append(SimpleNamespace(name=name, family="points" if fast else "particles"))
+    case = SimpleNamespace(rom=rom, plan=SimpleNamespace(family=lambda model: model.family))
+    names = [model.name for model in _by_preference(case, tables)]
     assert names == ["quick", "slow", "coarse", "particles"]
     tables.errors.append(replace(tables.errors[4], status="unstable", errors=NO_ERRORS))
-    assert _by_preference(SimpleNamespace(rom=rom), tables)[0].name == "slow"
+    assert _by_preference(case, tables)[0].name == "slow"

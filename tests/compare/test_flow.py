@@ -9,14 +9,15 @@ import pytest
 
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.measured import flow_row
-from sphrom.store.stored_run import StoredRun, probes_of, sample_run
+from sphrom.models.stored_run import StoredRun
+from sphrom.store.stored_run import probes_of, sample_run
 
 
 def _row(case, trajectory):
     probes = probes_of(case)
     samples = sample_run(case, trajectory, probes.all)
     run = StoredRun(SimpleNamespace(case=case), trajectory, ParameterPoint(1.0))
-    return flow_row(case, "full", ParameterPoint(1.0), run, samples, probes)
+    return flow_row(case, ParameterPoint(1.0), run, samples, probes)
 
 
 def test_open_cavity_with_a_wave(case_of, made_up):

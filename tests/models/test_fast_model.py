@@ -11,7 +11,7 @@ import pytest
 
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.series import kinetic_energy
-from sphrom.models.points.fast_model import FastRun, fast_model
+from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.reduction.polynomial_model import Run
 
 SECTION = ReducedModelSection(name="quick", evaluation="operators")
@@ -26,7 +26,7 @@ def workspace_with(*, surface: bool) -> Mock:
 
 
 def test_a_run_knows_its_energy_and_its_largest_speed() -> None:
-    model, modes = fast_model(workspace_with(surface=False), SECTION), np.array([[[3.0, 4.0]]])
+    model, modes = FastModel(workspace_with(surface=False), SECTION), np.array([[[3.0, 4.0]]])
     basis = SimpleNamespace(n_modes=1, velocity_modes=modes)
     state = np.array([[1.0], [-2.0]])
     about = Run(np.arange(2.0), state, time_step=1.0, diverged_at=math.nan)

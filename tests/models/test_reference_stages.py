@@ -12,14 +12,11 @@ import pytest
 from sphrom.case.models import Case
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError
-from sphrom.models import fom
-from sphrom.models.points import basis as pod
-from sphrom.models.points import map
-from sphrom.models.points import splines as fit_psi
+from sphrom.models import fom, stages
+from sphrom.models.reference.stored import read_basis, read_splines
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
 from sphrom.setup.context import StageContext
-from sphrom.store.trained_models import read_basis, read_splines
 from sphrom.store.workspace import Workspace
 
 SECTIONS = {
@@ -42,8 +39,8 @@ def make(tmp_path_factory: pytest.TempPathFactory, case_of: Callable[..., Case])
         case = case_of(kind, resolution, **{**SECTIONS, **sections})
         folder = tmp_path_factory.mktemp(kind)
         context = StageContext(case, folder, False, 1, Reporter(write=notes.append))
-        for stage in (fom, map, pod, fit_psi):
-            stage.run(context)
+        for stage in (fom.run, stages.map_runs, stages.make_basis, stages.fit_splines):
+            stage(context)
         return Workspace(context), notes
 
     return run
@@ -82,7 +79,7 @@ def test_an_unstable_run_is_not_mapped(closed: Made, monkeypatch, case_of, point
     monkeypatch.setattr(Workspace, "must_make", lambda *_: True)
     monkeypatch.setattr(Workspace, "require", lambda *_: None)
     with pytest.raises(ArtifactError, match=r"became unstable \(at t = 1 s\)"):
-        map.run(replace(workspace.context, case=case))
+        stages.map_runs(replace(workspace.context, case=case))
 
 
 def test_reference_points_lie_in_the_fluid(channel: Made) -> None:

@@ -13,8 +13,8 @@ import pytest
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
+from sphrom.models.reference.stored import read_modes, read_points
 from sphrom.setup import particles
-from sphrom.store.trained_models import read_modes, read_points
 
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
 FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 4, "calibrated": False}

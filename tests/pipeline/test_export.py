@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
+from sphrom.models.points.runs import CoordinateRun
 from sphrom.scenes.flows import TaylorGreen
-from sphrom.store.stored_run import StoredRun
 
 
 def flat(vectors: np.ndarray) -> np.ndarray:
@@ -73,9 +73,9 @@ def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store
     fast, sphrom, monkeypatch, vtu_of
 ) -> None:
     calls = []
-    state = StoredRun.rebuilt
+    state = CoordinateRun.state
     monkeypatch.setattr(
-        StoredRun, "rebuilt", lambda run, snapshot: calls.append(snapshot) or state(run, snapshot)
+        CoordinateRun, "state", lambda run, snapshot: calls.append(snapshot) or state(run, snapshot)
     )
     about = ("--only", "fast", "--only", "reynolds=150")
     sphrom("export", "tiny.yaml", "--set", FAST, *about, code=0)

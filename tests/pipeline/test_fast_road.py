@@ -16,12 +16,12 @@ from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.models.points.fast_model import FastModel
+from sphrom.models.reference.stored import read_basis, read_points, read_splines
+from sphrom.models.stored_run import StoredRun
 from sphrom.reduction.memory_projection import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import automatic, step_tolerance
 from sphrom.setup import particles
-from sphrom.store.stored_run import StoredRun
-from sphrom.store.trained_models import read_basis, read_points, read_splines
 
 FAST: dict[str, Any] = {
     "evaluation": "operators",

@@ -10,8 +10,8 @@ import yaml
 
 from sphrom.case.loader import load_case
 from sphrom.compare.stored_comparison import StoredComparison
+from sphrom.models.stored_run import StoredRun
 from sphrom.setup.context import StageContext
-from sphrom.store.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
 FIGURES = [

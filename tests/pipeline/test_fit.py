@@ -13,7 +13,7 @@ from sphrom.artifacts.labelled import open_labelled
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.fit.fit import Fit
-from sphrom.fit.forward_model import Box, FittedModel
+from sphrom.fit.forward_model import Box, FittedEquations
 from sphrom.fit.measurements import read_measurements
 from sphrom.models.points.fast_model import FastModel
 from sphrom.store.workspace import Workspace
@@ -100,7 +100,7 @@ def test_gradients_are_differences(study, columns):
 
     data = read_measurements(table, study.case, study.case.plan.steps, 1.0)
     box = Box({"reynolds": (50.0, 200.0), "lid": (0.5, 1.0)}, {})
-    model, place = FittedModel(fast, box, data.histories), np.array([0.6, 0.4])
+    model, place = FittedEquations(fast, box, data.histories), np.array([0.6, 0.4])
     model.prepare([place])
     found = model(place)
     assert found is not None

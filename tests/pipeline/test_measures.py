@@ -18,11 +18,11 @@ from sphrom.artifacts.labelled import open_labelled
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.stored_comparison import StoredComparison
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.particles import MeasuredFields
-from sphrom.store.stored_run import StoredRun
 from sphrom.store.trajectory import read_forces, read_quantities
 from sphrom.store.workspace import Workspace
 

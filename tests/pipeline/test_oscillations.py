@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import sphrom as package
-from sphrom.fit.forward_model import Box, FittedModel
+from sphrom.fit.forward_model import Box, FittedEquations
 from sphrom.fit.measurements import read_measurements
 from sphrom.models.points.fast_model import FastModel
 from sphrom.store.workspace import Workspace
@@ -135,7 +135,7 @@ def test_an_amplitude_is_fitted_with_exact_derivatives(made: Path) -> None:
     data = read_measurements(columns, study.case, study.case.plan.steps, None)
     fast = FastModel(Workspace(study._context), study.case.rom[0])
     box = Box({"reynolds": (10.0, 20.0), "swing": (0.5, 1.0)}, {})
-    model, place = FittedModel(fast, box, data.histories), np.array([0.4, 0.6])
+    model, place = FittedEquations(fast, box, data.histories), np.array([0.4, 0.6])
     model.prepare([place])
     slopes = model(place)[1]
     for k, way in enumerate(1e-4 * np.eye(2)):

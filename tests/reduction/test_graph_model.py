@@ -11,7 +11,7 @@ import pytest
 from sphrom.arrays import Array
 from sphrom.errors import SphromError
 from sphrom.metrics.elevation import find_elevation
-from sphrom.reduction.graph_model import GraphModel, run_many
+from sphrom.reduction.graph_model import GraphModel, calibrated_model, run_many
 from sphrom.reduction.graph_training import TrainingRun, _Fit, _Projected, train
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.surface_basis import SurfaceBasis, chosen_size, make_basis
@@ -229,7 +229,8 @@ def test_training_finds_gravity_and_the_number_of_elevation_modes(basis: Surface
     given = expected.depth, expected.gravity, expected.viscosity, expected.force
     errors = []
     for calibrated in (False, True):
-        own = best.model(basis.reduced(best.n_modes, best.n_surface), *given, calibrated)
+        own = GraphModel(basis.reduced(best.n_modes, best.n_surface), *given)
+        own = calibrated_model(own, best) if calibrated else own
         run = own.run(expected.times, np.zeros(6))
         elevation = own.elevation(run.coordinates, COLUMNS)
         wave = np.linalg.norm(expected.elevation - SPACE.bottom - DEPTH)

@@ -9,9 +9,10 @@ import pytest
 
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Samples
+from sphrom.models.reference.limits import sample_best
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, reconstruct
 from sphrom.sph.box_domain import BoxDomain, Rectangle
-from sphrom.store.stored_run import probes_of, sample_best, sample_run
+from sphrom.store.stored_run import probes_of, sample_run
 
 
 def test_probes_of_a_periodic_box(case_of):

@@ -1,7 +1,7 @@
 """Trial bases, projected right-hand sides with the data for error estimates, and splines of modes:
 the artifacts of the stages pod, operators and fit-psi.
 
-Most fields are declared by records of the numerics. `sphrom.store.trained_models` reads them.
+Most fields are declared by records of the numerics. `sphrom.models` reads them.
 """
 
 from __future__ import annotations

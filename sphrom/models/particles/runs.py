@@ -9,7 +9,9 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
+from sphrom.models.reference.stored import read_modes, read_points
 from sphrom.models.stable_ranges import against
+from sphrom.models.starts import start
 from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
@@ -17,7 +19,6 @@ from sphrom.setup.assembly import memory_length_of
 from sphrom.setup.particles import MeasuredParticles
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.checkpoints import Checkpoints, integrate
-from sphrom.store.trained_models import read_modes, read_points, start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
 

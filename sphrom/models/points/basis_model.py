@@ -19,6 +19,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities, Samples, with_coefficients
+from sphrom.models.points.stored import Fields, snapshot_times
+from sphrom.models.reference.stored import expand
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import CycleClosure
 from sphrom.reduction.error_calibration import (
@@ -43,7 +45,6 @@ from sphrom.setup.assembly import (
     scaled_parameters,
     sound_averages,
 )
-from sphrom.store.trained_models import Fields, snapshot_times
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
@@ -122,8 +123,6 @@ class BasisModel:
 
         `mean` is the separate density fluctuation [kg/m3].
         """
-        from sphrom.store.stored_run import expand
-
         means = np.full(len(time), mean)
         return expand(
             self.workspace.case, self.basis, self.splines, points, time, coordinates, means

@@ -8,7 +8,7 @@ runs, independently of the number of points, and the fit is the same for all par
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,6 @@ from sphrom.metrics.measures import (
     ONLY_NOISE,
     Quantities,
     mean_squares,
-    shares,
     variations,
 )
 from sphrom.plots.tables import format_figure
@@ -91,7 +90,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     factors = [None, None]
     if fitted.factors is not None and not estimated.extrapolated:
         factors = fitted.factors.tolist()
-    errors = measured_errors(run)
+    errors = run.measured_errors
     constants = (fitted.constants * trained.units).tolist()
     stored = StoredEstimate(
         velocity=estimated.velocity,
@@ -114,7 +113,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
     report.info(_described(run, estimated, factors))
-    if known := measured_shares(run, errors):
+    if known := run.measured_shares:
         words = {n: ONLY_NOISE if v is None else f"{format_figure(v)} %" for n, v in known.items()}
         listed = ", ".join(f"{name} {share}" for name, share in words.items())
         report.info(f"{run.name}: estimated errors of measurements, over their changes: {listed}")
@@ -141,27 +140,21 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
 
 
-def measured_sizes(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, Pair]:
-    """Return mean squares of errors (n_snapshots, ...) and of the change in the run, by column.
+def measured_sizes(run: FastRun) -> dict[str, Pair]:
+    """Return mean squares of estimated errors and of the change in the run, by column.
 
     Columns are such as `drag_force_x`, and for vectors `drag_force`. Only the times that count
     enter. The second is zero for components with only noise.
     """
     found = dict[str, Pair]()
     plan = run.model.workspace.case.plan
-    for name, each in errors.items():
+    for name, each in run.measured_errors.items():
         counted = plan.counted(name, run.time)
         for quantity, error in each.items() if counted.any() else ():
             sizes = variations(quantity, run.measured[name][quantity][counted])
             squares = mean_squares(quantity, error[counted])
             found |= {f"{name}_{part}": (square, sizes[part]) for part, square in squares.items()}
     return found
-
-
-def measured_shares(run: FastRun, errors: Mapping[str, Quantities]) -> dict[str, float | None]:
-    """Return errors (n_snapshots, ...) over the change in the run [%], by `measured_sizes`."""
-    pairs = measured_sizes(run, errors).items()
-    return shares({n: square for n, (square, _) in pairs}, {n: size for n, (_, size) in pairs})
 
 
 def measured_once(quantities: Quantities) -> MeasuredOnce:

@@ -8,7 +8,7 @@ stage `rom`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -17,52 +17,36 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts.records.reduced_models import TrainedModel
-from sphrom.artifacts.records.runs import TrainedSurfaceModel
-from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
+from sphrom.models.contract import Model, ModelRun
 from sphrom.models.points.basis_model import BasisModel, quantities_of
-from sphrom.models.points.error_estimates import ErrorEstimate, estimate
+from sphrom.models.points.error_estimates import (
+    ErrorEstimate,
+    Pair,
+    estimate,
+    measured_errors,
+    measured_sizes,
+)
+from sphrom.models.points.stored import MappedStarts, stored_model, stored_starts
+from sphrom.models.reference.stored import read_modes
 from sphrom.plots.tables import format_figure
-from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
 from sphrom.reduction.trial_basis import ModeVelocities, TrialBasis
 from sphrom.setup.assembly import MOST_GROWTH, inner_product
-from sphrom.sph.fluid import ROUNDING
-from sphrom.store.trained_models import (
-    MappedStarts,
-    read_modes,
-    stored_model,
-    stored_starts,
-)
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
-    from sphrom.models.surface.model import SurfaceModel
+    from sphrom.models.points.sensitivities import Tangents
     from sphrom.reduction.mode_splines import ModeSplines
 
 DOUBTFUL = 50.0
 """Estimated error from which a run is doubtful [%]; errors are up to twice their estimates."""
 
 
-def fast_model(
-    workspace: Workspace,
-    section: ReducedModelSection,
-    stored: TrainedModel | TrainedSurfaceModel | None = None,
-) -> FastModel | SurfaceModel:
-    """Return a model that runs without particles, from its artifact if one is `stored`."""
-    if workspace.case.scene.has_surface:
-        from sphrom.models.surface.model import SurfaceModel  # it loads kernels
-
-        assert not isinstance(stored, TrainedModel)
-        return SurfaceModel(workspace, section, stored)
-    assert not isinstance(stored, TrainedSurfaceModel)
-    return FastModel(workspace, section, stored)
-
-
-class FastModel:
+class FastModel(Model[ReferenceModel]):
     """One model from operators, built and run at any parameters.
 
     The initial condition is that of the scene, or the end of the spin-up at the point or at the
@@ -77,16 +61,11 @@ class FastModel:
         section: ReducedModelSection,
         stored: TrainedModel | None = None,
     ) -> None:
-        self.workspace = workspace
-        self.section = section
+        super().__init__(workspace, section)
         self._is_alone = stored is not None
         self._stored = stored or stored_model(workspace, section)
         self._on_basis: dict[str, BasisModel] = {}
         self._velocities: dict[str, ModeVelocities] = {}
-
-    def basis_at(self, point: ParameterPoint) -> str:
-        """Return the name of the model's basis at a parameter point."""
-        return self.workspace.case.plan.basis_for(self.section, point)
 
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""
@@ -115,7 +94,7 @@ class FastModel:
         def splines() -> ModeSplines:
             if not self._is_alone:
                 return read_modes(self.workspace, name, basis.n_modes)[1]
-            from sphrom.models.points.splines import fit  # few programs need it
+            from sphrom.models.reference.splines import fit  # few programs need it
 
             points = stored.reference_position
             report = self.workspace.context.report
@@ -165,6 +144,25 @@ class FastModel:
         """Return a function that makes one run at a parameter point, for timing."""
         return self.at_point(point).integrator(self.at(point)).run
 
+    def tangents(
+        self,
+        point: ParameterPoint,
+        names: Sequence[str],
+        reduced: ReferenceModel,
+        step_factor: float = 1.0,
+        integrator: Integrator | None = None,
+    ) -> Tangents:
+        """Return the derivatives of a run by some parameters, in steps longer by a factor."""
+        from sphrom.models.points.sensitivities import tangents
+
+        return tangents(self, point, names, reduced, step_factor, integrator)
+
+    def measures(
+        self, reduced: ReferenceModel, time: Array, coordinates: Array
+    ) -> dict[str, Quantities]:
+        """Return the measurements of states (n_states, n_modes) at times (n_states,) [s]."""
+        return quantities_of(self.workspace.case, reduced, time, coordinates)
+
     def trained_differences(
         self, points: Sequence[ParameterPoint]
     ) -> list[tuple[Array, dict[str, Quantities]]]:
@@ -190,19 +188,13 @@ class FastModel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FastRun(Run):
+class FastRun(ModelRun):
     """A run of a model, and the model that made it."""
 
     model: FastModel
-    """The model at any parameter point."""
-    point: ParameterPoint
     reduced: ReferenceModel
-    """The model at the point."""
-
-    @property
-    def name(self) -> str:
-        """The name of the model and the point in messages."""
-        return f"{self.model.section.name}, {self.point.label}"
+    diverged_at: float
+    """[s], NaN for a run that went to its end."""
 
     @property
     def failure(self) -> UnstableError | None:
@@ -238,16 +230,23 @@ class FastRun(Run):
         return estimate(self)
 
     @cached_property
+    def measured_errors(self) -> Mapping[str, Quantities]:
+        """The estimated errors of all measurements (n_snapshots, ...); empty without estimates."""
+        return measured_errors(self)
+
+    @property
+    def measured_sizes(self) -> dict[str, Pair]:
+        """Mean squares of these errors, and of the change in the run, by column of a table."""
+        return measured_sizes(self)
+
+    @cached_property
     def outside(self) -> tuple[str, ...]:
         """Warnings about a run outside the trained parameters, or longer than training runs."""
-        case = self.model.workspace.case
-        end = self.reduced.output_times.time[-1]
-        trained = case.plan.steps.end_time
-        warnings = [beyond_training(trained)] if end > trained * (1.0 + ROUNDING) else []
+        texts = super().outside
         if self.model.at_point(self.point).leaves_cycles:
-            warnings.append(f"states of {self.model.section.size} modes leave the trained cycles")
-        beyond = extrapolation(case, self.point)
-        return tuple(warnings) if beyond is None else (beyond, *warnings)
+            n_modes = self.model.section.size
+            return (*texts, f"states of {n_modes} modes leave the trained cycles")
+        return texts
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:

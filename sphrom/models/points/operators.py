@@ -27,9 +27,16 @@ from sphrom.case.plan_times import MAX_STEPS
 from sphrom.case.sections import AUTO
 from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
-from sphrom.models.surface import training as surfaces
+from sphrom.models.points.stored import (
+    calibrated,
+    memory_timing,
+    snapshot_times,
+    starts_record,
+    training_runs,
+)
+from sphrom.models.reference.stored import mapped_runs, read_basis, read_points, read_splines
 from sphrom.plots.tables import format_figure
-from sphrom.reduction import held_out, reference_model
+from sphrom.reduction import held_out, reference_model, trial_basis
 from sphrom.reduction.decomposition import N_FIELD_VALUES
 from sphrom.reduction.error_calibration import LEFT_OUT, compared_snapshots
 from sphrom.reduction.force_projection import project_forces
@@ -46,24 +53,11 @@ from sphrom.reduction.reduced_operators import (
 )
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.stokes_fields import stokes_fields
-from sphrom.reduction.trial_basis import project, truncate
+from sphrom.reduction.trial_basis import truncate
 from sphrom.setup import particles
 from sphrom.setup.assembly import amplitude_of, output_times_of, scaled_parameters, sound_averages
-from sphrom.setup.context import StageContext
-from sphrom.setup.cost import require_room
 from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.store.trained_models import (
-    calibrated,
-    mapped_runs,
-    memory_timing,
-    read_basis,
-    read_points,
-    read_splines,
-    snapshot_times,
-    starts_record,
-    training_runs,
-)
 from sphrom.store.trajectory import measured_of, read_forces
 from sphrom.store.workspace import Workspace
 
@@ -75,24 +69,13 @@ UNBALANCED = 0.05
 """Largest relative difference of a force from the balance of momentum without a warning."""
 
 
-def run(context: StageContext) -> None:
+def project(workspace: Workspace) -> None:
     """Project the operators onto every basis that a model on the reference points uses."""
-    workspace = Workspace(context)
-    names = context.case.plan.reference_bases
-    if not names:
-        context.report.info("no reduced model has evaluation: operators: no operators to project")
-        return
-    require_room(context.case, workspace.out, None, "operators")
     target = workspace.operators()
-    if not workspace.must_make(target):
-        return
-    if context.case.scene.has_surface:
-        surfaces.train_models(workspace)
-        return
-    points = particles.fixed_points(context.case, read_points(workspace))
+    points = particles.fixed_points(workspace.case, read_points(workspace))
     with workspace.create(target, {"walls_driven": int(points.walls_driven)}) as artifact:
         started = time.perf_counter()
-        for name in names:
+        for name in workspace.case.plan.reference_bases:
             projection = _Projection(workspace, points, name)
             write_record(artifact, projection.stored(artifact), f"bases/{name}")
         write_record(artifact, starts_record(workspace), "starts")
@@ -119,7 +102,7 @@ class _Projection:
         states = []
         for _, densities, velocities in mapped_runs(self.workspace, self.name):
             every = max(1, (len(densities) - 1) // N_STATES)
-            states.append(project(self.basis, densities[::every], velocities[::every]))
+            states.append(trial_basis.project(self.basis, densities[::every], velocities[::every]))
         # Steps must be stable around these states.
         self.states = np.concatenate(states)
         runs = None
@@ -279,7 +262,7 @@ class _Projection:
         projections_of = FieldProjections(self.basis, mode_fields(self.basis, self.points))
         starts, projections, squares = [], [], []
         for _, densities, velocities in mapped_runs(self.workspace, self.name):
-            starts.append(project(self.basis, densities[0], velocities[0]))
+            starts.append(trial_basis.project(self.basis, densities[0], velocities[0]))
             found = []
             for first in range(0, len(self.compared), N_AT_ONCE):
                 some = self.compared[first : first + N_AT_ONCE]

@@ -8,15 +8,20 @@ its errors, and its distance from the nearest state of the training runs or betw
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 
+import numpy as np
+
+from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.runs import Converged, Steady
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import UNITS, Quantities, components
+from sphrom.metrics.measures import UNITS, Quantities, Samples, components
+from sphrom.models.contract import N_TIMED, basis_used
 from sphrom.models.points.basis_model import forces_of
 from sphrom.models.points.error_estimates import (
     distance_from,
@@ -25,21 +30,20 @@ from sphrom.models.points.error_estimates import (
     steady_errors,
 )
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.reference.stored import expand, read_basis, read_modes, read_points
 from sphrom.models.stable_ranges import against
+from sphrom.models.stored_run import ComputedRun
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
 from sphrom.reduction.reduced_operators import largest_growth
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
-from sphrom.reduction.trial_basis import reconstruct
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.fluid import pressure_of
-from sphrom.store.trained_models import read_points
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
-N_TIMED = 5
-"""Number of timed repetitions of a run, and of the search for a steady state."""
 FAR = 0.05
 """Distance from the nearest training state, over the state's norm, that causes a warning."""
 
@@ -222,3 +226,39 @@ def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
         densities.append(density)
         velocities.append(velocity)
         pressures.append(pressure_of(density, workspace.case.plan.sound_speed))
+
+
+class CoordinateRun(ComputedRun):
+    """A stored run of a model, whose fields are sums of modes."""
+
+    @cached_property
+    def _used(self) -> tuple[str, int]:
+        return basis_used(self._workspace, self.model, self._point)
+
+    @cached_property
+    def _basis(self) -> TrialBasis:
+        name, n_modes = self._used
+        return truncate(read_basis(self._workspace, name), n_modes)
+
+    def position(self, snapshot: int) -> Array:
+        """Return the reference points (n, 2) [m]."""
+        return read_points(self._workspace)
+
+    def state(self, snapshot: int) -> tuple[Array, Array]:
+        """Return density fluctuation (n,) [kg/m3] and velocity (n, 2) [m/s] at these points."""
+        mean = self._run.number("mean_density_fluctuation")
+        return reconstruct(self._basis, self.coordinates[snapshot], mean)
+
+    def sampled(
+        self,
+        points: Array,
+        snapshots: Sequence[int] | None = None,
+        advance: Callable[[int], None] = lambda done: None,
+    ) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) [m], at some or all snapshots."""
+        chosen = range(len(self.time)) if snapshots is None else snapshots
+        basis, splines = read_modes(self._workspace, *self._used)
+        means = np.full(len(chosen), self._run.number("mean_density_fluctuation"))
+        case = self._workspace.case
+        coordinates = self.coordinates[chosen]
+        return expand(case, basis, splines, points, self.time[chosen], coordinates, means)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
-from sphrom.metrics.measures import Quantities, with_coefficients
+from sphrom.metrics.measures import Quantities, Samples, with_coefficients
 from sphrom.models.points.basis_model import forces_of
 from sphrom.models.points.fast_model import FastModel
 from sphrom.reduction import reference_model
@@ -55,6 +56,8 @@ class Tangents:
     """(n_parameters, n_snapshots) [J/m]."""
     measured: Mapping[str, Quantities]
     """By measurement and quantity (n_parameters, n_snapshots, ...)."""
+    _sample: Callable[[Array], Samples]
+    """Samples the derivatives of velocity and pressure at points (n_points, 2) [m]."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,17 @@ def tangents(
     ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
     ordered = with_coefficients(ordered, case.plan.coefficients)
     times = reduced.output_times.time
-    return Tangents(tuple(names), times, run, changes, means, energy, ordered)
+
+    def sampled(points: Array) -> Samples:
+        mean = reduced.mean_density_fluctuation
+        moved = zip(run + changes, mean + means, strict=True)
+        sample = partial(model.on_basis(basis).sampled, points, times)
+        own, *others = (sample(*state) for state in ((run, mean), *moved))
+        velocity = np.stack([each.velocity - own.velocity for each in others])
+        pressure = np.stack([each.pressure - own.pressure for each in others])
+        return Samples(times, velocity, pressure)
+
+    return Tangents(tuple(names), times, run, changes, means, energy, ordered, sampled)
 
 
 def _completed(

@@ -7,24 +7,32 @@ the corrections of coordinates and forces, and the fit of error estimates.
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.artifacts import Artifact, read_record, write_record
+from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.reduced_models import TrainedModel
-from sphrom.artifacts.records.runs import HistoryTable, TrainedSurfaceModel
-from sphrom.case.models import Case
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COEFFICIENT, Quantities
 from sphrom.metrics.series import smoothed
-from sphrom.models.points import operators
 from sphrom.models.points.basis_model import BasisModel, Start, forces_of, quantities_of
+from sphrom.models.points.stored import (
+    MappedStarts,
+    calibrated,
+    cycle_closure,
+    read_operators,
+    read_recorded,
+    read_wall_force,
+    sized,
+    snapshot_times,
+    stored_starts,
+)
+from sphrom.models.reference.stored import read_basis, read_modes
 from sphrom.reduction.calibration import (
     Calibration,
     CycleClosure,
@@ -52,83 +60,28 @@ from sphrom.reduction.trained_basis import (
 )
 from sphrom.reduction.trial_basis import truncate
 from sphrom.setup.assembly import scaled_parameters, sound_averages
-from sphrom.setup.context import StageContext
-from sphrom.store.surfaces import TrainedSurface
-from sphrom.store.trained_models import (
-    MappedStarts,
-    calibrated,
-    cycle_closure,
-    read_basis,
-    read_modes,
-    read_operators,
-    read_recorded,
-    read_wall_force,
-    sized_in,
-    snapshot_times,
-    stored_starts,
-)
 from sphrom.store.workspace import Workspace
 
 
-def run(context: StageContext) -> None:
-    """Project the operators of the case, and train its models from operators.
-
-    A model without the necessary corrections gets no artifact: its runs report why.
-    """
-    operators.run(context)
-    workspace = Workspace(context)
-    write = write_surface_model if context.case.scene.has_surface else write_model
-    for section in context.case.rom:
-        if section.from_operators and workspace.must_make(workspace.model(section)):
-            write(workspace, section)
-
-
-def write_surface_model(workspace: Workspace, section: ReducedModelSection) -> None:
-    """Write the artifact of a model of a flow with a free surface, which is trained."""
-    model = TrainedSurface(workspace, section)
-    stored = TrainedSurfaceModel(
-        basis=model.basis,
-        graph=model.trained,
-        **_of_case(workspace.case, section),
-    )
-    with workspace.create(workspace.model(section)) as artifact:
-        write_record(artifact, stored)
-
-
-def write_model(workspace: Workspace, section: ReducedModelSection) -> None:
-    """Train a model with all its bases, and write its artifact."""
-    case = workspace.case
-    started = time.perf_counter()
+def trained_model(
+    workspace: Workspace, section: ReducedModelSection, common: Mapping[str, Any]
+) -> TrainedModel | None:
+    """Return a model trained with all its bases; None if it lacks necessary corrections."""
     starts = stored_starts(workspace)
     start = MappedStarts(workspace, stored=starts).at
-    models = {name: train(workspace, section, name, start) for name in case.plan.bases_for(section)}
+    names = workspace.case.plan.bases_for(section)
+    models = {name: train(workspace, section, name, start) for name in names}
     if any(model.problem is not None for model in models.values()):
-        return
+        return None
     with workspace.open(workspace.basis()) as artifact:
-        points = artifact.read("reference_position")
-        volume = artifact.read("volume")
-    stored = TrainedModel(
-        bases={name: model.trained for name, model in models.items()},
-        modes={name: model.basis for name, model in models.items()},
-        volume=volume,
-        reference_position=points,
-        starts=starts,
-        **_of_case(case, section),
-    )
-    with workspace.create(workspace.model(section)) as artifact:
-        write_record(artifact, stored)
-        artifact.annotate("timing/training", time.perf_counter() - started)
-
-
-def _of_case(case: Case, section: ReducedModelSection) -> dict[str, Any]:
-    """Return the fields that files of all models have."""
-    histories = getattr(case.scene, "histories", {}).items()
-    return {
-        "model": section.name,
-        "reference_density": case.fluid.reference_density,
-        "sound_speed": case.plan.sound_speed,
-        "histories": {name: HistoryTable.of(history) for name, history in histories},
-    }
+        return TrainedModel(
+            bases={name: model.trained for name, model in models.items()},
+            modes={name: model.basis for name, model in models.items()},
+            volume=artifact.read("volume"),
+            reference_position=artifact.read("reference_position"),
+            starts=starts,
+            **common,
+        )
 
 
 def train(
@@ -138,7 +91,7 @@ def train(
 
     Raises CaseError if the case requires a calibration that is impossible.
     """
-    section = sized_in(workspace, section, name)
+    section = sized(workspace, section, name)
     with workspace.open(workspace.operators()) as artifact:
         model = _Training(workspace, section, name, start, artifact).model()
     # Sums over arrays in this order have the bits of a model that is read from its artifact.

@@ -1,110 +1,162 @@
-"""Models of flows with a free surface at any parameters, and their runs.
-
-`SurfaceModel` and `SurfaceRun` have the members of `FastModel` and `FastRun`. They have no estimates
-of errors.
-"""
+"""Models of flows with a free surface at any parameters, and their runs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.case.hints import beyond_training, extrapolation
+from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.errors import UnstableError
-from sphrom.machine import seconds_of
-from sphrom.metrics.measures import Quantities, Samples, grid_points, with_coefficients
-from sphrom.reduction.graph_model import GraphRun
-from sphrom.setup.assembly import field_measures, run_attributes
-from sphrom.sph.fluid import ROUNDING
-from sphrom.store.surfaces import SurfaceModelAt, TrainedSurface
+from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, with_coefficients
+from sphrom.models.contract import (
+    N_TIMED,
+    SURFACE,
+    Limit,
+    Measured,
+    Model,
+    ModelRun,
+    best_name,
+)
+from sphrom.models.starts import start
+from sphrom.models.stored_run import ComputedRun
+from sphrom.models.surface.stored import elevation_of, read_surface_basis, trained_size
+from sphrom.reduction.graph_model import GraphModel, GraphRun, calibrated_model
+from sphrom.reduction.polynomial_model import OutputTimes
+from sphrom.setup.assembly import field_measures, run_attributes, uniform_force
+from sphrom.sph.fluid import fluctuation_of
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
-N_TIMED = 5
-"""Repetitions of a run, to time it."""
+
+@dataclass(frozen=True)
+class SurfaceModelAt:
+    """A model at a parameter point, with the start and the snapshots of its runs."""
+
+    graph: GraphModel
+    density: float
+    """[kg/m3]"""
+    start: Array
+    """(n_modes + n_surface,)."""
+    output_times: OutputTimes
+
+    def run(self) -> GraphRun:
+        """Return a run."""
+        return self.graph.run(self.output_times.time, self.start)
+
+    def sampled(self, points: Array, time: Array, coordinates: Array) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) [m], zero above the surface."""
+        wet = points[:, 1] <= self.graph.elevation(coordinates, points[:, 0])
+        velocity = self.graph.velocity(coordinates, points)
+        pressure = self.density * self.graph.pressure(time, coordinates, points)
+        return Samples(time, np.where(wet[..., None], velocity, 0.0), np.where(wet, pressure, 0.0))
 
 
-class SurfaceModel(TrainedSurface):
-    """One model of a flow with a free surface: built and run at any parameters."""
+class SurfaceModel(Model[SurfaceModelAt]):
+    """A trained model, with the number of modes in its section, those of noise left out."""
 
-    def basis_at(self, point: ParameterPoint) -> str:
-        """Return the name of the model's basis."""
-        return ALL
+    def __init__(
+        self,
+        workspace: Workspace,
+        section: ReducedModelSection,
+        stored: TrainedSurfaceModel | None = None,
+    ) -> None:
+        if stored is None:
+            self.trained = trained_size(workspace, section)
+            whole = read_surface_basis(workspace)
+            self.basis = whole.reduced(self.trained.n_modes, self.trained.n_surface)
+        else:
+            self.trained = stored.graph
+            self.basis = stored.basis
+        sized = section.model_copy(update={"n_modes": self.trained.n_modes})
+        super().__init__(workspace, sized)
+        self._starts: dict[object, Array] = {}
+
+    def at(self, point: ParameterPoint) -> SurfaceModelAt:
+        """Return the model at a parameter point."""
+        case = self.workspace.case
+        plain = GraphModel(
+            self.basis,
+            depth=case.plan.depth(point),
+            gravity=case.scene.gravity,
+            viscosity=case.plan.kinematic_viscosity(point),
+            force=uniform_force(case, point),
+            longest_step=case.plan.longest_step(point),
+        )
+        graph = calibrated_model(plain, self.trained) if self.section.is_calibrated else plain
+        steps = case.plan.model_steps(self.section)
+        density = case.fluid.reference_density
+        times = OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time)
+        return SurfaceModelAt(graph, density, self._start(point), times)
+
+    def _start(self, point: ParameterPoint) -> Array:
+        """Return the coordinates that runs at a point start from."""
+        case = self.workspace.case
+        spun_up = self.workspace.case.time.spin_up > 0.0
+        begin = case.plan.start_point(point)
+        own = ((n, v) for n, v in begin.factors.items() if case.scene.starts_by(n))
+        key = begin if spun_up else tuple(own)
+        if key not in self._starts:
+            state = start(self.workspace, begin)
+            columns = case.plan.surface_columns
+            level = case.scene.level_at(begin.factors)
+            elevation = np.full_like(columns, level)
+            if spun_up or not math.isfinite(level):
+                elevation = elevation_of(case, self.basis.space, columns)(
+                    state.position, state.density_fluctuation
+                )
+            coefficients, _ = self.basis.space.fit(state.position, state.velocity)
+            self._starts[key] = self.basis.project(coefficients[None], elevation[None])[0]
+        return self._starts[key]
 
     def run(self, point: ParameterPoint, reduced: SurfaceModelAt | None = None) -> SurfaceRun:
         """Run the model at a parameter point; `reduced` may have other output times."""
         reduced = reduced or self.at(point)
-        return SurfaceRun(self, point, reduced, reduced.run())
-
-    def timed(self, point: ParameterPoint, repeats: int) -> tuple[SurfaceRun, float]:
-        """Return a run, and the least time that some took [s]."""
-        reduced = self.at(point)
-        run = self.run(point, reduced)
-        return run, min(seconds_of(reduced.run) for _ in range(repeats))
+        return self._run_of(point, reduced, reduced.run())
 
     def runner(self, point: ParameterPoint) -> Callable[[], object]:
-        """Return what makes one run at a parameter point, to be timed."""
+        """Return a function that makes one run at a parameter point."""
         return self.at(point).run
 
     def nearest(self, point: ParameterPoint) -> SurfaceRun:
         """Return the states of the basis that are nearest to a full run's snapshots."""
         with self.workspace.open(self.workspace.mapped(point)) as mapped:
-            fields = mapped.read("stream_function"), mapped.read("elevation")
-            time = mapped.read("time")
-        states = self.basis.project(*fields)
-        return SurfaceRun(self, point, self.at(point), GraphRun(time, states))
+            states = self.basis.project(mapped.read("stream_function"), mapped.read("elevation"))
+            return self._run_of(point, self.at(point), GraphRun(mapped.read("time"), states))
 
-    def trained_differences(
-        self, points: Sequence[ParameterPoint]
-    ) -> list[tuple[Array, dict[str, Quantities]]]:
-        """Return nothing: there are no estimates of errors."""
-        return []
+    def _run_of(self, point: ParameterPoint, reduced: SurfaceModelAt, run: GraphRun) -> SurfaceRun:
+        interval = reduced.output_times.interval
+        return SurfaceRun(
+            model=self,
+            point=point,
+            reduced=reduced,
+            time=run.times,
+            coordinates=run.coordinates,
+            time_step=interval / math.ceil(interval / reduced.graph.time_step),
+            ending=run,
+        )
 
 
-@dataclass(frozen=True)
-class SurfaceRun:
-    """A run of a model, and the model that made it."""
+@dataclass(frozen=True, kw_only=True)
+class SurfaceRun(ModelRun):
+    """A run of a model; coordinates are (n_snapshots, n_modes + n_surface), as far as it went."""
 
     model: SurfaceModel
-    point: ParameterPoint
     reduced: SurfaceModelAt
-    graph_run: GraphRun
-
-    correction = estimate = None
-
-    @property
-    def name(self) -> str:
-        """The model and the point, as messages name them."""
-        return f"{self.model.section.name}, {self.point.label}"
-
-    @property
-    def time(self) -> Array:
-        """(n_snapshots,) [s], as far as the run went."""
-        return self.graph_run.times
-
-    @property
-    def coordinates(self) -> Array:
-        """(n_snapshots, n_modes + n_surface)."""
-        return self.graph_run.coordinates
-
-    @property
-    def time_step(self) -> float:
-        """[s]."""
-        interval = self.reduced.output_times.interval
-        return interval / math.ceil(interval / self.reduced.graph.time_step)
+    ending: GraphRun
+    """Its time, place and reason, if it ended early."""
 
     @property
     def failure(self) -> UnstableError | None:
         """Why the run ended early; None where it didn't."""
-        run = self.graph_run
+        run = self.ending
         if run.ended is None:
             return None
         return UnstableError(
@@ -112,13 +164,9 @@ class SurfaceRun:
         )
 
     @property
-    def _density(self) -> float:
-        return self.model.workspace.case.fluid.reference_density
-
-    @property
     def kinetic_energy(self) -> Array:
         """The kinetic energy (n_snapshots,) [J/m]."""
-        return self._density * self.reduced.graph.kinetic_energy(self.coordinates)
+        return self.reduced.density * self.reduced.graph.kinetic_energy(self.coordinates)
 
     @property
     def largest_speed(self) -> float:
@@ -141,7 +189,7 @@ class SurfaceRun:
     def _measure(self, name: str, section: MeasureSection) -> Quantities:
         graph = self.reduced.graph
         state = self.coordinates
-        density = self._density
+        density = self.reduced.density
         domain = self.model.workspace.case.scene.domain
         if section.elevation is not None:
             return {"elevation": graph.elevation(state, np.array([section.elevation]))[:, 0]}
@@ -159,30 +207,73 @@ class SurfaceRun:
         samples = self.sampled(measure.position)
         return measure.of(samples.velocity, samples.pressure)
 
-    @property
-    def elevation(self) -> Array:
-        """The height y of the surface (n_snapshots, n_columns) [m], as mapped snapshots have it."""
-        columns = self.model.workspace.case.plan.surface_columns
-        return self.reduced.graph.elevation(self.coordinates, columns)
-
     def sampled(self, points: Array) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], zero above the surface."""
         return self.reduced.sampled(points, self.time, self.coordinates)
 
+
+class StoredSurfaceRun(ComputedRun):
+    """A stored run of a model."""
+
     @cached_property
-    def outside(self) -> tuple[str, ...]:
-        """Warnings of a run outside of the trained values, or longer than training runs."""
-        case = self.model.workspace.case
-        end = self.reduced.output_times.time[-1]
-        trained = case.plan.steps.end_time
-        found = [beyond_training(trained)] if end > trained * (1.0 + ROUNDING) else []
-        beyond = extrapolation(case, self.point)
-        return tuple(found) if beyond is None else (beyond, *found)
+    def _reduced(self) -> SurfaceModelAt:
+        return SurfaceModel(self._workspace, self.model).at(self._point)
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """Why a run that went to its end may be wrong, known without a full run."""
-        return self.outside
+    def whole(self) -> Measured:
+        """The elevation of the whole surface, as mapped snapshots have it."""
+        return whole_surface(self._workspace, self._reduced, self.coordinates)
+
+    def position(self, snapshot: int) -> Array:
+        """Return the points of a lattice (n, 2) [m]."""
+        case = self._workspace.case
+        return case.scene.domain.fill(case.plan.particle_spacing)
+
+    def state(self, snapshot: int) -> tuple[Array, Array]:
+        """Return density fluctuation (n,) [kg/m3] and velocity (n, 2) [m/s] at these points."""
+        samples = self.sampled(self.position(snapshot), [snapshot])
+        sound_speed = self._workspace.case.plan.sound_speed
+        return fluctuation_of(samples.pressure[0], sound_speed), samples.velocity[0]
+
+    def sampled(
+        self,
+        points: Array,
+        snapshots: Sequence[int] | None = None,
+        advance: Callable[[int], None] = lambda done: None,
+    ) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) [m], zero above the surface."""
+        chosen = range(len(self.time)) if snapshots is None else snapshots
+        return self._reduced.sampled(points, self.time[chosen], self.coordinates[chosen])
+
+
+def whole_surface(workspace: Workspace, reduced: SurfaceModelAt, coordinates: Array) -> Measured:
+    """Return the height y of the whole surface (n_snapshots, n_columns) [m]."""
+    columns = workspace.case.plan.surface_columns
+    return {SURFACE: {"elevation": reduced.graph.elevation(coordinates, columns)}}
+
+
+def limits(
+    workspace: Workspace,
+    models: Sequence[ReducedModelSection],
+    point: ParameterPoint,
+    probes: Probes,
+) -> Iterator[Limit]:
+    """Yield the nearest states of each basis, and runs of models that are not calibrated."""
+    runs: dict[str, SurfaceRun] = {}
+    for section in models:
+        model = SurfaceModel(workspace, section)
+        runs[best_name(ALL, model.section.size)] = model.nearest(point)
+        if section.is_calibrated:
+            plain = SurfaceModel(workspace, section.model_copy(update={"calibrated": False}))
+            runs[f"{section.name}, not calibrated"] = plain.run(point)
+    for name, run in runs.items():
+        samples = run.sampled(probes.all)
+        size = run.model.section.size
+        if run.failure is not None:
+            yield Limit(name, samples, ALL, size, status="unstable")
+            continue
+        whole = whole_surface(workspace, run.reduced, run.coordinates)
+        yield Limit(name, samples, ALL, size, {**run.measured, **whole})
 
 
 def run_point(workspace: Workspace, section: ReducedModelSection, point: ParameterPoint) -> None:

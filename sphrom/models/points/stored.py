@@ -1,27 +1,25 @@
-"""Reduced models in their artifacts: bases, splines of modes, operators, projected training runs.
+"""Operators and projected training runs in their artifacts, and starts on the reference points.
 
-Modes are orthonormal, so the coordinates in fewer modes are the first of those that are stored, and
-a model of any size is calibrated when it is built. The closure of Eq. 3.22 is stored for each
-number of modes: it contains the residual of the projection onto these modes alone. Starts of runs
-are packed particles, the scene's fields, or the end of a spin-up.
+A model of any size is calibrated when it is trained. The closure of Eq. 3.22 is stored for each
+number of modes: it contains the residual of the projection onto these modes alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.reduced_models import Starts, TrainedModel
-from sphrom.artifacts.records.runs import Start
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import Quantities, with_coefficients
+from sphrom.models.reference.stored import mapped_runs, read_points
+from sphrom.models.starts import start
 from sphrom.reduction.calibration import (
     Calibration,
     CycleClosure,
@@ -30,12 +28,10 @@ from sphrom.reduction.calibration import (
     fitted_cycle,
 )
 from sphrom.reduction.held_out import best_size
-from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_measures import ReducedForce
 from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.reduction.trial_basis import TrialBasis, project, truncate
+from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
-from sphrom.sph.fluid import NONE, Factors, fluctuation_of
 from sphrom.store.trajectory import read_by_quantity, totals
 from sphrom.store.workspace import Workspace
 
@@ -58,66 +54,6 @@ def stored_starts(workspace: Workspace) -> Starts | None:
         if "starts/parameters" in artifact:
             return read_record(artifact, Starts, "starts")
     return None
-
-
-def read_points(workspace: Workspace) -> Array:
-    """Read the points of the reference space (n_points, 2) [m]."""
-    with workspace.open(workspace.basis()) as artifact:
-        return artifact.read("reference_position")
-
-
-def read_basis(workspace: Workspace, name: str) -> TrialBasis:
-    """Read one trial basis."""
-    product = assembly.inner_product(workspace.case)
-    with workspace.open(workspace.basis()) as artifact:
-        return read_record(
-            artifact,
-            TrialBasis,
-            f"bases/{name}",
-            inner_product=product,
-            weights=product.weights(artifact.read("volume")),
-            separate_mean=workspace.case.plan.separate_mean_density,
-        )
-
-
-def mapped_runs(
-    workspace: Workspace, name: str
-) -> Iterator[tuple[ParameterPoint, h5py.Dataset, h5py.Dataset]]:
-    """Yield the training points of a basis, with their mapped density fluctuations and velocities.
-
-    The datasets are open until the next ones are requested.
-    """
-    for point in workspace.case.plan.bases[name]:
-        with workspace.open(workspace.mapped(point)) as mapped:
-            yield point, mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
-
-
-def read_splines(workspace: Workspace, name: str) -> ModeSplines:
-    """Read the splines of one basis."""
-    domain = workspace.case.scene.domain
-    group = f"bases/{name}"
-    with workspace.open(workspace.splines()) as artifact:
-        # Kernels of splines take long to import, and few runs need them.
-        if workspace.case.plan.lattice_splines:
-            from sphrom.reduction.lattice_splines import LatticeSplines
-
-            return read_record(artifact, LatticeSplines, group, domain=domain)
-        from sphrom.reduction.spline import LocalSplines
-
-        return read_record(
-            artifact,
-            LocalSplines,
-            group,
-            order=int(artifact.number("spline_order")),
-            polynomial_degree=int(artifact.number("polynomial_degree")),
-            domain=domain,
-        )
-
-
-def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasis, ModeSplines]:
-    """Read the first modes of a basis, and their splines."""
-    basis = truncate(read_basis(workspace, name), n_modes)
-    return basis, read_splines(workspace, name).first(n_modes)
 
 
 def training_runs(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
@@ -212,62 +148,17 @@ def memory_timing(basis: str, n_modes: int) -> str:
     return f"timing/memory-{basis}-{n_modes}"
 
 
-def basis_used(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
-) -> tuple[str, int]:
-    """Return the name of the basis that a model uses at a point, and the number of its modes."""
-    name = workspace.case.plan.basis_for(model, point)
-    return name, sized_in(workspace, model, name).size
-
-
-def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:
+def sized(workspace: Workspace, model: ReducedModelSection, basis: str) -> ReducedModelSection:
     """Return a model with its number of modes in a basis, chosen by training runs if automatic."""
-    if workspace.case.scene.has_surface:
-        from sphrom.store.surfaces import TrainedSurface  # it loads kernels
-
-        return TrainedSurface(workspace, model).section
     if model.n_modes != AUTO:
         return model
     with workspace.open(workspace.operators()) as artifact:
-        error = artifact.read(f"bases/{name}/held_out/error")
+        error = artifact.read(f"bases/{basis}/held_out/error")
     return model.model_copy(update={"n_modes": best_size(error)})
 
 
 Fields = tuple[Array, Array]
 """Density fluctuation (n_points,) [kg/m3] and velocity (n_points, 2) [m/s]."""
-
-
-def initial_positions(workspace: Workspace, values: Factors = NONE) -> Array:
-    """Return the start positions (n_particles, 2) [m] for values of the scene's parameters.
-
-    Raises ArtifactError if they have to be packed first.
-    """
-    case = workspace.case
-    if not case.plan.packed:
-        return case.scene.fill(case.plan.particle_spacing, values)
-    with workspace.open(workspace.packing()) as artifact:
-        return np.asarray(artifact.read("position"))
-
-
-def start(workspace: Workspace, point: ParameterPoint) -> Start:
-    """Return the start of the recorded part of a run: the scene's state or the end of the spin-up.
-
-    Raises ArtifactError if the spin-up, or the packed particles, have to be made first.
-    """
-    if workspace.case.time.spin_up == 0.0:
-        return scene_start(workspace, point)
-    with workspace.open(workspace.spin_up(point)) as artifact:
-        return read_record(artifact, Start)
-
-
-def scene_start(workspace: Workspace, point: ParameterPoint) -> Start:
-    """Return the scene's initial state, from which a spin-up or a run without one starts."""
-    position = initial_positions(workspace, point.factors)
-    plan = workspace.case.plan
-    flow = workspace.case.plan.flow(point)
-    density = fluctuation_of(flow.initial_pressure(position), plan.sound_speed)
-    velocity = flow.initial_velocity(position)
-    return Start(position=position, density_fluctuation=density, velocity=velocity)
 
 
 def starts_record(workspace: Workspace) -> Starts:

@@ -18,10 +18,11 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO
 from sphrom.errors import CaseError, SphromError, UnstableError
 from sphrom.metrics.histories import energy
+from sphrom.models.surface.stored import elevation_of, read_surface_basis
 from sphrom.plots.tables import format_figure
-from sphrom.reduction.surface_basis import TrainedGraph, chosen_size, make_basis
+from sphrom.reduction import surface_basis
+from sphrom.reduction.surface_basis import TrainedGraph, chosen_size
 from sphrom.setup.assembly import medium, uniform_force
-from sphrom.store.surfaces import elevation_of, read_surface_basis
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
 
@@ -82,7 +83,7 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
     workspace.context.report.info(text)
 
 
-def decompose(workspace: Workspace) -> None:
+def make_basis(workspace: Workspace) -> None:
     """Write the basis of the training runs."""
     case = workspace.case
     target = workspace.basis()
@@ -102,7 +103,9 @@ def decompose(workspace: Workspace) -> None:
         runs = np.stack(coefficients)
         noise = np.linalg.norm(lost) / np.linalg.norm(speeds)
         most = min(MOST_KEPT, runs.shape[2], runs.shape[0] * runs.shape[1])
-        whole = make_basis(case.plan.stream_space, runs, np.stack(elevations), float(noise), most)
+        whole = surface_basis.make_basis(
+            case.plan.stream_space, runs, np.stack(elevations), float(noise), most
+        )
         artifact.annotate("timing/decomposition", time.perf_counter() - started)
         if not whole.modes_above_noise:
             raise CaseError(
@@ -126,7 +129,7 @@ def decompose(workspace: Workspace) -> None:
     )
 
 
-def train_models(workspace: Workspace) -> None:
+def project(workspace: Workspace) -> None:
     """Train models of all numbers of modes that the case's models have, and write them."""
     from sphrom.reduction.graph_training import train  # it loads kernels
 

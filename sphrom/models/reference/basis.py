@@ -12,29 +12,20 @@ from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.case.hints import few_snapshots
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
-from sphrom.models.surface import training as surfaces
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import JOINT, Modes, TrialBasis, weighted_mean
 from sphrom.setup.assembly import inner_product, medium
-from sphrom.setup.context import StageContext
-from sphrom.setup.cost import decomposition_ram_limit, require_room
+from sphrom.setup.cost import decomposition_ram_limit
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 
 SHOWN_MODES = (1, 2, 5, 10, 20, 30)
 
 
-def run(context: StageContext) -> None:
+def make_basis(workspace: Workspace) -> None:
     """Decompose the reference snapshots of the training runs."""
-    workspace = Workspace(context)
-    require_room(context.case, workspace.out, None, "pod")
     target = workspace.basis()
-    if not workspace.must_make(target):
-        return
-    case = context.case
-    if case.scene.has_surface:
-        surfaces.decompose(workspace)
-        return
+    case = workspace.case
     attributes = {"inner_product": case.basis.inner_product, **medium(case)}
     with workspace.create(target, attributes) as artifact:
         with ExitStack() as stack:

@@ -10,29 +10,12 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
-from sphrom.models.surface.training import map_point as map_surface
+from sphrom.models.starts import initial_positions
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import particles
 from sphrom.setup.assembly import medium
-from sphrom.setup.context import StageContext
-from sphrom.setup.cost import require_room
-from sphrom.store.trained_models import initial_positions
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
-
-
-def run(context: StageContext) -> None:
-    """Map the full runs of the chosen parameter points."""
-    workspace = Workspace(context)
-    require_room(context.case, workspace.out, context.only, "map")
-    for point in context.chosen(context.case.plan.points):
-        target = workspace.mapped(point)
-        if workspace.must_make(target):
-            workspace.require(workspace.full_run(point))
-            if context.case.scene.has_surface:
-                map_surface(workspace, point)
-            else:
-                _map_point(workspace, point, reference_points(workspace))
 
 
 def reference_points(workspace: Workspace) -> Array:
@@ -50,8 +33,10 @@ def reference_points(workspace: Workspace) -> Array:
     return initial_positions(workspace)
 
 
-def _map_point(workspace: Workspace, point: ParameterPoint, points: Array) -> None:
+def map_point(workspace: Workspace, point: ParameterPoint) -> None:
+    """Map the snapshots of a full run onto the points of the reference space."""
     case = workspace.case
+    points = reference_points(workspace)
     to_reference = particles.map_onto(case, points)
     with workspace.open(workspace.full_run(point)) as trajectory:
         require_complete(trajectory)

@@ -12,34 +12,31 @@ from sphrom.artifacts import write_record
 from sphrom.case.models import Case
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
+from sphrom.models.reference.stored import read_basis, read_points
+from sphrom.reduction import spline
 from sphrom.reduction.lattice_splines import LatticeSplines, fit_lattice_splines
 from sphrom.reduction.mode_splines import basis_columns
-from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines, fitting_cells
+from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.setup.context import StageContext
-from sphrom.store.trained_models import read_basis, read_points
 from sphrom.store.workspace import Workspace
 
 
-def run(context: StageContext) -> None:
-    """Fit splines to the modes of every basis."""
-    workspace = Workspace(context)
-    if context.case.scene.has_surface:
-        context.report.info("models of a free surface need no splines of modes")
-        return
+def fit_splines(workspace: Workspace) -> None:
+    """Fit splines to the modes of every basis, unless they are up to date."""
     target = workspace.splines()
     if not workspace.must_make(target):
         return
-    case = context.case
+    case = workspace.case
+    report = workspace.context.report
     points = read_points(workspace)
     kind = {"spline_order": case.psi.order, "polynomial_degree": case.psi.polynomial_degree}
     attributes = {} if case.plan.lattice_splines else kind
     with workspace.create(target, attributes) as artifact:
         started = time.perf_counter()
         for name in case.plan.bases:
-            splines = fit(case, points, read_basis(workspace, name), name, context.report)
+            splines = fit(case, points, read_basis(workspace, name), name, report)
             write_record(artifact, splines, f"bases/{name}")
-            context.report.info(f"basis {name}: {splines.n_columns} {_summary(splines)}")
+            report.info(f"basis {name}: {splines.n_columns} {_summary(splines)}")
         artifact.annotate("timing/fit", time.perf_counter() - started)
 
 
@@ -57,11 +54,11 @@ def fit(
             return fit_lattice_splines(points, columns, domain)
         except ValueError as error:
             raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
-    width = default_cell_width(domain, len(points))
-    n_cells = math.prod(fitting_cells(domain, width))
+    width = spline.default_cell_width(domain, len(points))
+    n_cells = math.prod(spline.fitting_cells(domain, width))
     with report.progress(f"splines, basis {name}", n_cells) as advance:
         try:
-            return fit_splines(
+            return spline.fit_splines(
                 points,
                 columns,
                 domain,

@@ -1,0 +1,1 @@
+"""What models on particles and from operators share: the map, bases and splines of modes."""

@@ -1,0 +1,127 @@
+"""What models on the reference space are compared with: the map, and the best states of a basis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sphrom.artifacts import Artifact
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.metrics.measures import Probes, Samples
+from sphrom.models.contract import (
+    ALONE,
+    Ability,
+    Limit,
+    Measured,
+    basis_used,
+    best_name,
+    family_of,
+)
+from sphrom.models.reference.stored import expand, read_modes
+from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.reference_space import ReferenceMap
+from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
+from sphrom.setup.particles import MeasuredFields, sampler
+from sphrom.sph.fluid import pressure_of
+from sphrom.store.workspace import Workspace
+
+LEAST_SHARE = 1e-10
+"""Relative size of a combination of modes that contains nothing of a field."""
+
+
+def limits(
+    workspace: Workspace,
+    models: Sequence[ReducedModelSection],
+    point: ParameterPoint,
+    probes: Probes,
+) -> Iterator[Limit]:
+    """Yield the mapped snapshots, and the best states in each basis."""
+    case = workspace.case
+    with workspace.open(workspace.mapped(point)) as mapped:
+        samples = sample_mapped(case, mapped, sampler(case, probes.all))
+        yield Limit("map", samples, measured=measured_of_map(case, mapped))
+        used: dict[tuple[str, int], ReducedModelSection | None] = {}
+        for model in models:
+            key = basis_used(workspace, model, point)
+            # Models with equations compute measurements from their coordinates.
+            if Ability.EQUATIONS in family_of(case, model).abilities and case.scene.measure:
+                used[key] = model
+            used.setdefault(key, None)
+        for (name, size), measuring in sorted(used.items(), key=lambda pair: pair[0]):
+            basis, splines = read_modes(workspace, name, size)
+            both, alone = sample_best(case, mapped, basis, splines, probes)
+            measured = None
+            if measuring is not None:
+                measured = measured_of_best(workspace, measuring, point, mapped)
+            yield Limit(best_name(name, size), both, name, size, measured)
+            yield Limit(f"{ALONE}, {name} M={size}", alone, name, size)
+
+
+def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples:
+    """Sample mapped snapshots; they contain only the error of the map."""
+    position = mapped.read("reference_position")
+    snapshots = zip(mapped.dataset("density_fluctuation"), mapped.dataset("velocity"), strict=True)
+    fields = [sample(position, density, velocity) for density, velocity in snapshots]
+    density, velocity = map(np.array, zip(*fields, strict=True))
+    return Samples(mapped.read("time"), velocity, pressure_of(density, case.plan.sound_speed))
+
+
+def sample_best(
+    case: Case, mapped: Artifact, basis: TrialBasis, splines: ModeSplines, probes: Probes
+) -> tuple[Samples, Samples]:
+    """Sample the best approximations of mapped snapshots in a basis: of states, and of each field.
+
+    The first result is the projection of states in the inner product of the basis. In the second
+    each field has coordinates of its own, so no state with these modes is closer in either field.
+    """
+    densities = mapped.dataset("density_fluctuation")
+    velocities = mapped.dataset("velocity")
+    snapshots = zip(densities, velocities, strict=True)
+    # Where modes hold the mean density, a state of none has coordinates too: they count once.
+    rest = project(basis, 0.0 * densities[0], 0.0 * velocities[0])
+    parts = [(project(basis, d, 0.0 * v), project(basis, 0.0 * d, v) - rest) for d, v in snapshots]
+    by_density, by_velocity = (np.array(part) for part in zip(*parts, strict=True))
+    share = (basis.density_modes * basis.weights) @ basis.density_modes.T
+    shares = (share, by_density), (np.eye(basis.n_modes) - share, by_velocity)
+    alone = [np.linalg.lstsq(gram, part.T, LEAST_SHARE)[0].T for gram, part in shares]
+    means = np.array([mean_density_fluctuation(basis, density) for density in densities])
+    times = mapped.read("time")
+    both, density, velocity = (
+        expand(case, basis, splines, probes.all, times, each, means)
+        for each in (by_density + by_velocity, *alone)
+    )
+    return both, replace(density, velocity=velocity.velocity)
+
+
+def measured_of_map(case: Case, mapped: Artifact) -> Measured:
+    """Measure the fields of mapped snapshots, which have no forces."""
+    measure = MeasuredFields.of(case)
+    if measure is None:
+        return {}
+    position = mapped.read("reference_position")
+    states = zip(mapped.dataset("density_fluctuation"), mapped.dataset("velocity"), strict=True)
+    each = [measure(position, *map(np.asarray, state)) for state in states]
+    return {
+        name: {quantity: np.array([one[name][quantity] for one in each]) for quantity in first}
+        for name, first in each[0].items()
+    }
+
+
+def measured_of_best(
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
+) -> Measured:
+    """Measure the nearest states in the basis of a model, with the model's operators."""
+    from sphrom.models.points.basis_model import quantities_of
+    from sphrom.models.points.fast_model import FastModel
+
+    fast = FastModel(workspace, model)
+    time = mapped.read("time")
+    reduced = fast.at(point)
+    state = mapped.read("density_fluctuation"), mapped.read("velocity")
+    coordinates = project(reduced.basis, *state)
+    mean = mean_density_fluctuation(reduced.basis, state[0])
+    return quantities_of(workspace.case, reduced, time, coordinates, mean)

@@ -1,0 +1,101 @@
+"""The bases and splines of modes in their artifacts.
+
+Modes are orthonormal, so the coordinates in fewer modes are the first of those that are stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import h5py
+import numpy as np
+
+from sphrom.arrays import Array
+from sphrom.artifacts import read_record
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.metrics.measures import Samples
+from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.trial_basis import TrialBasis, truncate
+from sphrom.setup import assembly
+from sphrom.sph.fluid import pressure_of
+from sphrom.store.workspace import Workspace
+
+
+def read_points(workspace: Workspace) -> Array:
+    """Read the points of the reference space (n_points, 2) [m]."""
+    with workspace.open(workspace.basis()) as artifact:
+        return artifact.read("reference_position")
+
+
+def read_basis(workspace: Workspace, name: str) -> TrialBasis:
+    """Read one trial basis."""
+    product = assembly.inner_product(workspace.case)
+    with workspace.open(workspace.basis()) as artifact:
+        return read_record(
+            artifact,
+            TrialBasis,
+            f"bases/{name}",
+            inner_product=product,
+            weights=product.weights(artifact.read("volume")),
+            separate_mean=workspace.case.plan.separate_mean_density,
+        )
+
+
+def mapped_runs(
+    workspace: Workspace, name: str
+) -> Iterator[tuple[ParameterPoint, h5py.Dataset, h5py.Dataset]]:
+    """Yield the training points of a basis, with their mapped density fluctuations and velocities.
+
+    The datasets are open until the next ones are requested.
+    """
+    for point in workspace.case.plan.bases[name]:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            yield point, mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
+
+
+def read_splines(workspace: Workspace, name: str) -> ModeSplines:
+    """Read the splines of one basis."""
+    domain = workspace.case.scene.domain
+    group = f"bases/{name}"
+    with workspace.open(workspace.splines()) as artifact:
+        # Kernels of splines take long to import, and few runs need them.
+        if workspace.case.plan.lattice_splines:
+            from sphrom.reduction.lattice_splines import LatticeSplines
+
+            return read_record(artifact, LatticeSplines, group, domain=domain)
+        from sphrom.reduction.spline import LocalSplines
+
+        return read_record(
+            artifact,
+            LocalSplines,
+            group,
+            order=int(artifact.number("spline_order")),
+            polynomial_degree=int(artifact.number("polynomial_degree")),
+            domain=domain,
+        )
+
+
+def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasis, ModeSplines]:
+    """Read the first modes of a basis, and their splines."""
+    basis = truncate(read_basis(workspace, name), n_modes)
+    return basis, read_splines(workspace, name).first(n_modes)
+
+
+def expand(
+    case: Case,
+    basis: TrialBasis,
+    splines: ModeSplines,
+    points: Array,
+    times: Array,
+    coordinates: Array,
+    mean_density: Array,
+) -> Samples:
+    """Sample the states with coordinates (n_snapshots, n_modes) at points by the modes' splines.
+
+    `mean_density` (n_snapshots,) [kg/m3] is the separate mean of a basis that has one, else zero.
+    """
+    values = splines.values(points).reshape(len(points), -1, 3)
+    fields = np.tensordot(coordinates, values, (1, 1))
+    density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
+    return Samples(times, fields[..., 1:], pressure_of(density, case.plan.sound_speed))

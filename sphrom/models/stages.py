@@ -1,0 +1,121 @@
+"""The stages that make reduced models and run them, equal for all families.
+
+A stage imports only the modules of the family of its models; a run from operators imports no
+kernels of SPH.
+"""
+
+from __future__ import annotations
+
+import time
+
+from sphrom.artifacts import write_record
+from sphrom.artifacts.records.runs import HistoryTable
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import UnstableError
+from sphrom.models.contract import Ability, family_of
+from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room
+from sphrom.store.checkpoints import remove_checkpoints
+from sphrom.store.workspace import Target, Workspace
+
+
+def map_runs(context: StageContext) -> None:
+    """Stage `map`: map the full runs of the chosen parameter points."""
+    workspace = Workspace(context)
+    require_room(context.case, workspace.out, context.only, "map")
+    for point in context.chosen(context.case.plan.points):
+        if workspace.must_make(workspace.mapped(point)):
+            workspace.require(workspace.full_run(point))
+            family_of(context.case).map_run(workspace, point)
+
+
+def make_basis(context: StageContext) -> None:
+    """Stage `pod`: decompose the mapped snapshots of the training runs."""
+    workspace = Workspace(context)
+    require_room(context.case, workspace.out, None, "pod")
+    if workspace.must_make(workspace.basis()):
+        family_of(context.case).make_basis(workspace)
+
+
+def fit_splines(context: StageContext) -> None:
+    """Stage `fit-psi`: fit splines to the modes of every basis."""
+    family_of(context.case).fit_splines(Workspace(context))
+
+
+def project(context: StageContext) -> None:
+    """Write the operators of all bases that a model from operators uses."""
+    workspace = Workspace(context)
+    if not context.case.plan.reference_bases:
+        context.report.info("no reduced model has evaluation: operators: no operators to project")
+        return
+    require_room(context.case, workspace.out, None, "operators")
+    if workspace.must_make(workspace.operators()):
+        family_of(context.case).project(workspace)
+
+
+def make_operators(context: StageContext) -> None:
+    """Make bases, splines and operators from mapped full runs, without models in files."""
+    for stage in (make_basis, fit_splines, project):
+        stage(context)
+
+
+def train_models(context: StageContext) -> None:
+    """Stage `operators`: project the operators, and train the models that are built from them.
+
+    A model without the necessary corrections gets no artifact: its runs report why.
+    """
+    project(context)
+    workspace = Workspace(context)
+    case = context.case
+    histories = getattr(case.scene, "histories", {}).items()
+    for section in case.rom:
+        family = family_of(case, section)
+        if Ability.RUNS_ALONE not in family.abilities:
+            continue
+        target = workspace.model(section)
+        if not workspace.must_make(target):
+            continue
+        started = time.perf_counter()
+        common = {
+            "model": section.name,
+            "reference_density": case.fluid.reference_density,
+            "sound_speed": case.plan.sound_speed,
+            "histories": {name: HistoryTable.of(history) for name, history in histories},
+        }
+        stored = family.trained(workspace, section, common)
+        if stored is not None:
+            with workspace.create(target) as artifact:
+                write_record(artifact, stored)
+                artifact.annotate("timing/training", time.perf_counter() - started)
+
+
+def run_models(context: StageContext) -> None:
+    """Stage `rom`: run every reduced model of the case at the chosen parameter points.
+
+    Raises UnstableError after all runs if one diverged; its artifact records the divergence.
+    """
+    workspace = Workspace(context)
+    require_room(context.case, workspace.out, context.only, "rom")
+    unstable = []
+    at = context.case.plan.rom_points
+    runs = [(m, p) for m in context.chosen_models for p in context.chosen(at(m))]
+    if not runs:
+        context.report.info("no reduced model to run")
+    for model, point in runs:
+        target = ensure_run(workspace, model, point)
+        remove_checkpoints(target)
+        with workspace.open_intermediate(target) as trajectory:  # checked once, not twice
+            if trajectory.text("status") != "complete":
+                detail = trajectory.text("status_detail")
+                unstable.append(f"{model.name}, {point.label}: {detail}")
+    if unstable:
+        raise UnstableError("\n".join(unstable))
+
+
+def ensure_run(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> Target:
+    """Run a reduced model at a parameter point unless its run is up to date."""
+    target = workspace.reduced_run(model, point)
+    if workspace.must_make(target):
+        family_of(workspace.case, model).run_point(workspace, model, point)
+    return target

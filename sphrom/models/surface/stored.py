@@ -1,0 +1,47 @@
+"""Artifacts of flows with a free surface: bases, trained models, and where the surface is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sphrom.arrays import Array
+from sphrom.artifacts import read_record
+from sphrom.artifacts.records.runs import SurfaceModels
+from sphrom.case.models import Case
+from sphrom.case.sections import ALL, AUTO, ReducedModelSection
+from sphrom.metrics.elevation import find_elevation
+from sphrom.reduction.stream_functions import StreamSpace
+from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph, chosen_size
+from sphrom.sph.fluid import volume_of
+from sphrom.store.workspace import Workspace
+
+
+def read_surface_basis(workspace: Workspace) -> SurfaceBasis:
+    """Read the basis of a case with a free surface."""
+    with workspace.open(workspace.basis()) as artifact:
+        return read_record(artifact, SurfaceBasis, f"bases/{ALL}")
+
+
+def trained_size(workspace: Workspace, section: ReducedModelSection) -> TrainedGraph:
+    """Return the trained parameters of a model with its number of modes."""
+    with workspace.open(workspace.operators()) as artifact:
+        trained = read_record(artifact, SurfaceModels).sizes
+    size = section.n_modes
+    if size == AUTO:
+        size = chosen_size({int(size): each for size, each in trained.items()})
+    return trained[str(size)]
+
+
+def elevation_of(case: Case, space: StreamSpace, columns: Array) -> Callable[[Array, Array], Array]:
+    """Return a function of positions and density fluctuations for the surface [m] at columns.
+
+    The function raises SphromError if a column has no fluid or more than one surface.
+    """
+    walls = (space.left, space.right, space.bottom)
+    radius = 2.0 * case.plan.smoothing_length
+
+    def find(position: Array, density: Array) -> Array:
+        volume = volume_of(density, case.fluid.reference_density, case.plan.mass)
+        return find_elevation(position, volume, columns, radius, walls)
+
+    return find
