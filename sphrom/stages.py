@@ -133,7 +133,7 @@ def _needed(case: Case, until: str | None) -> list[str]:
     if until is not None and until not in PIPELINE:
         raise CaseError(f"no stage is called {quoted(until)}; {nearest(str(until), PIPELINE)}")
     spared = set() if case.rom else {"map", "pod", "fit-psi"}
-    if Ability.MODE_FIELDS not in family_of(case).abilities:
+    if not family_of(case).can(Ability.MODE_FIELDS):
         spared.add("fit-psi")
     if not case.plan.reference_bases:
         spared.add("operators")

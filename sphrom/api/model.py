@@ -70,7 +70,9 @@ class Model:
         self._labels = Labels(context.case)
         self._errors: TrainingDifferences = {}
         self._family = family_of(context.case, section)
-        self._fast = self._family.model(self._workspace, section, stored)
+        if stored is None and self._family.can(Ability.RUNS_ALONE):
+            self._workspace.require(self._workspace.operators())
+        self._fast = self._family.part("model")(self._workspace, section, stored)
 
     def _points(self, rows: Iterable[Mapping[str, float]]) -> list[ParameterPoint]:
         """Return the points with some values and the model's own; warn of one that extrapolates."""

@@ -210,7 +210,7 @@ class Plan(TimesPlan):
 
     @property
     def map_settings(self) -> dict[str, object]:
-        """What maps of full runs depend on, besides keys of the case."""
+        """The settings of maps of full runs that are not keys of the case."""
         return {"space": vars(self.stream_space)} if self._scene.has_surface else {}
 
     @property

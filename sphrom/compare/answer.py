@@ -295,7 +295,7 @@ def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
     models = [model for model in case.rom if _compared(tables, model.name)]
 
     def runs_alone(model: ReducedModelSection) -> bool:
-        return Ability.RUNS_ALONE in family_of(case, model).abilities
+        return family_of(case, model).can(Ability.RUNS_ALONE)
 
     for model in models:
         pairs = _judged(_compared(tables, model.name))

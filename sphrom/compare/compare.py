@@ -127,7 +127,7 @@ class _PointComparison:
             self.measured = measured_of(self.case, trajectory)
         self.family = family_of(self.case)
         if self.models:
-            self.measured |= self.family.measured_at(workspace, point)
+            self.measured |= self.family.part("measured_at")(workspace, point)
         self.references = {FULL: self.full}
         if (flow := plan.flow(point).exact) is not None and self.case.compare.exact:
             self.references["exact"] = exact_samples(flow, probes.all, self.full.time)
@@ -147,7 +147,8 @@ class _PointComparison:
 
     def _compare_limits(self) -> None:
         """Compare the best that models can be, and simpler models."""
-        for best in self.family.limits(self.workspace, self.models, self.point, self.probes):
+        limits = self.family.part("limits")
+        for best in limits(self.workspace, self.models, self.point, self.probes):
             self._add(best)
             self._measure(best)
 

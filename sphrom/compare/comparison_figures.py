@@ -87,7 +87,7 @@ def _figures(stored: StoredComparison, tables: Tables) -> Iterator[tuple[str, Dr
     for basis in case.plan.bases if case.rom else ():
         sizes = model_sizes(workspace, basis)
         yield f"singular-values-{basis}", partial(draw_spectrum, workspace, basis, sizes)
-        if Ability.MODE_FIELDS in family_of(case).abilities:
+        if family_of(case).can(Ability.MODE_FIELDS):
             yield f"modes-{basis}", partial(draw_modes, workspace, basis)
 
 

@@ -19,8 +19,9 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.kernels import ask_for_threads, asked_for
 from sphrom.metrics.histories import compression_factors
-from sphrom.models.contract import basis_used, family_of, model_of
+from sphrom.models.contract import basis_used, model_of
 from sphrom.models.fom import seconds_of_steps
+from sphrom.models.points.stored import memory_timing
 from sphrom.setup import particles
 from sphrom.store.trajectory import snapshot_fields
 from sphrom.store.workspace import Target, Workspace
@@ -223,11 +224,13 @@ def offline_seconds(
     if plan.packed and workspace.packing().path.exists():
         with workspace.open(workspace.packing()) as packing:
             training += _computing_seconds(packing)
-    family = family_of(workspace.case, model)
-    offline = training - family.others_seconds(workspace, model, list(names))
-    for stage in (*map(workspace.mapped, trained), *family.made_from(workspace)):
+    offline = training
+    own = {memory_timing(name, model.size) for name in names if model.has_memory}
+    closures = {memory_timing(*closure) for closure in plan.memory_models}
+    for stage in (*map(workspace.mapped, trained), *workspace.made_from(model)):
         with workspace.open(stage) as artifact:
             offline += _computing_seconds(artifact)
+            offline -= sum(_number(artifact, name) or 0.0 for name in closures - own)
     return offline, training
 
 

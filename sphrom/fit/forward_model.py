@@ -301,5 +301,5 @@ class FittedEquations(FittedModel):
 
 def fitted_model(fast: Model[Any], box: Box, histories: Sequence[History]) -> FittedModel:
     """Return a model to fit."""
-    has_tangents = Ability.SENSITIVITIES in fast.family.abilities
+    has_tangents = fast.family.can(Ability.SENSITIVITIES)
     return (FittedEquations if has_tangents else FittedModel)(fast, box, histories)

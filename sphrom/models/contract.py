@@ -1,19 +1,20 @@
-"""What a reduced model is: a family of models, a model at any parameters, and its runs.
+"""The contract of reduced models: a family, a model at any parameters, and its runs.
 
 A family makes its models in stages (map, basis, splines, training), and opens them. Users of models
-ask for an `Ability`, and `Family.require` refuses by name what a family lacks; nothing outside of a
-family's room depends on the kind of a model. The plan of a case names the family of its models.
+ask for an `Ability`, and `Family.require` refuses by name each one that a family lacks; nothing
+outside of a family's room depends on the kind of a model. The plan of a case names the family of
+its models, and `FAMILIES` is the list of all.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property, partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from sphrom.arrays import Array
 from sphrom.case.hints import beyond_training, extrapolation
@@ -22,23 +23,14 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import Probes, Quantities, Samples, shares
+from sphrom.metrics.measures import Quantities, Samples, shares
 from sphrom.sph.fluid import ROUNDING
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
-    from sphrom.artifacts.records.runs import ModelFile
     from sphrom.models.points.error_estimates import ErrorEstimate, Pair
     from sphrom.models.points.sensitivities import Tangents
-    from sphrom.models.stored_run import StoredRun
 
-FAMILIES = {
-    "points": "sphrom.models.points.family",
-    "particles": "sphrom.models.particles.family",
-    "surface": "sphrom.models.surface.family",
-}
-"""The rooms of the families, by the name that a case's plan gives. A room is imported when it is
-first used, and has its `FAMILY`."""
 N_TIMED = 5
 """Number of timed repetitions of a run."""
 SURFACE = "surface"
@@ -52,7 +44,7 @@ At = TypeVar("At")
 
 
 class Ability(Enum):
-    """What some families of models can do, and others cannot."""
+    """An ability of some families of models, which others lack."""
 
     RUNS_ALONE = "runs in memory, from coordinates"
     OTHER_TIMES = "runs with other final times"
@@ -81,107 +73,131 @@ def best_name(basis: str, n_modes: int) -> str:
     return f"{BEST}, {basis} M={n_modes}"
 
 
-class Family(ABC):
-    """A family of reduced models: the stages that make them, and the models themselves."""
+@dataclass(frozen=True)
+class Family:
+    """A family of reduced models, by the functions of its room."""
 
-    lacks: ClassVar[Mapping[Ability, str]]
-    """The abilities that its models lack, with the reason, in which {model} is a model's name."""
-    kind: ClassVar[str]
+    kind: str
     """Its name in maps of the extremes."""
-    costs_alike: ClassVar[bool] = False
+    functions: Mapping[str, str]
+    """The modules and names of its functions, by their names in `part`."""
+    lacks: Mapping[Ability, str]
+    """The abilities that its models lack, with the reason, in which {model} is a model's name."""
+    costs_alike: bool = False
     """Whether runs at all points cost the same."""
 
-    @property
-    def abilities(self) -> frozenset[Ability]:
-        """What its models can do."""
-        return frozenset(set(Ability).difference(self.lacks))
+    def part(self, name: str) -> Any:
+        """Return a function or class of the family, whose module is imported here.
+
+        - `map_run(workspace, point)` writes the mapped snapshots of a full run.
+        - `make_basis(workspace)` writes the bases of the training runs.
+        - `fit_splines(workspace)` writes the splines of the modes.
+        - `project(workspace)` writes the operators, from which models are trained.
+        - `trained(workspace, section, common)` returns the content of a model's file, of which
+          `common` is equal in all families; None if the model lacks necessary corrections.
+        - `model(workspace, section, stored)` is a `Model`, from its file if that is `stored`.
+        - `run_point(workspace, section, point)` runs a model, and writes its artifact.
+        - `sized(workspace, section, basis)` returns a section with its number of modes in a basis.
+        - `stored_run` is the class of its stored runs, a `StoredRun`.
+        - `limits(workspace, sections, point, probes)` yields each `Limit` of the models at a point.
+        - `measured_at(workspace, point)` returns measurements of a mapped full run that are not
+          among those of the case.
+        """
+        module, _, function = self.functions[name].partition(":")
+        return getattr(import_module(f"sphrom.models.{module}"), function)
+
+    def can(self, ability: Ability) -> bool:
+        """Return whether its models have an ability."""
+        return ability not in self.lacks
 
     def require(self, ability: Ability, asked: str, model: str = "") -> None:
-        """Raise CaseError that names what was asked for if the family lacks an ability."""
+        """Raise CaseError that names the request if the family lacks an ability."""
         if ability in self.lacks:
             raise CaseError(f"{asked}: {self.lacks[ability].format(model=model)}")
 
-    @abstractmethod
-    def map_run(self, workspace: Workspace, point: ParameterPoint) -> None:
-        """Write the mapped snapshots of a full run."""
 
-    @abstractmethod
-    def make_basis(self, workspace: Workspace) -> None:
-        """Write the bases of the training runs."""
-
-    @abstractmethod
-    def fit_splines(self, workspace: Workspace) -> None:
-        """Write the splines of the modes."""
-
-    @abstractmethod
-    def project(self, workspace: Workspace) -> None:
-        """Write the artifact of operators, from which models are trained."""
-
-    @abstractmethod
-    def trained(
-        self, workspace: Workspace, section: ReducedModelSection, common: Mapping[str, Any]
-    ) -> ModelFile | None:
-        """Return the content of a trained model's file, of which `common` is equal in all families.
-
-        None if the model lacks necessary corrections; its runs then report why.
-        """
-
-    @abstractmethod
-    def model(
-        self, workspace: Workspace, section: ReducedModelSection, stored: Any = None
-    ) -> Model[Any]:
-        """Return a model, from its file if that is `stored`."""
-
-    @abstractmethod
-    def run_point(
-        self, workspace: Workspace, section: ReducedModelSection, point: ParameterPoint
-    ) -> None:
-        """Run a model at a parameter point, and write its artifact."""
-
-    @abstractmethod
-    def sized(
-        self, workspace: Workspace, section: ReducedModelSection, basis: str
-    ) -> ReducedModelSection:
-        """Return a model with its number of modes in a basis, chosen by training runs if auto."""
-
-    @abstractmethod
-    def made_from(self, workspace: Workspace) -> list[Target]:
-        """Return the artifacts of all training runs from which models are made."""
-
-    @abstractmethod
-    def stored_run(self) -> type[StoredRun]:
-        """Return the class of its stored runs."""
-
-    @abstractmethod
-    def limits(
-        self,
-        workspace: Workspace,
-        models: Sequence[ReducedModelSection],
-        point: ParameterPoint,
-        probes: Probes,
-    ) -> Iterator[Limit]:
-        """Yield what models at a point are compared with, besides the full run."""
-
-    def measured_at(self, workspace: Workspace, point: ParameterPoint) -> Measured:
-        """Return measurements of a mapped full run that are not among those of the case."""
-        return {}
-
-    def others_seconds(
-        self, workspace: Workspace, section: ReducedModelSection, bases: Sequence[str]
-    ) -> float:
-        """Return the share of other models in the cost of a model's artifacts [s]."""
-        return 0.0
+_REFERENCE = {
+    "map_run": "reference.map:map_point",
+    "make_basis": "reference.basis:make_basis",
+    "fit_splines": "reference.splines:fit_splines",
+    "limits": "reference.limits:limits",
+    "measured_at": "reference.limits:measured_at",
+    "sized": "points.stored:sized",
+}
+"""The functions of models with modes on the points of a reference space."""
+_NO_SYSTEM = (
+    "{model} is evaluated on particles, so it is no system of equations for its coordinates; "
+    "choose a model with evaluation: operators"
+)
+_NO_POLYNOMIAL = "is not for models of a free surface"
+FAMILIES: Mapping[str, Family] = {
+    "points": Family(
+        kind="fast",
+        functions={
+            **_REFERENCE,
+            "project": "points.operators:project",
+            "trained": "points.training:trained_model",
+            "model": "points.fast_model:FastModel",
+            "run_point": "points.runs:run_point",
+            "stored_run": "points.runs:CoordinateRun",
+        },
+        lacks={},
+    ),
+    "particles": Family(
+        kind="particles",
+        functions={
+            **_REFERENCE,
+            "model": "particles.model:ParticleRuns",
+            "run_point": "particles.runs:run_point",
+            "stored_run": "stored_run:StoredRun",
+        },
+        lacks={
+            Ability.RUNS_ALONE: _NO_SYSTEM,
+            Ability.EQUATIONS: _NO_SYSTEM,
+            Ability.SENSITIVITIES: _NO_SYSTEM,
+            Ability.OTHER_TIMES: "needs a model on the reference points",
+            Ability.TRAINING: "needs a model with evaluation: operators",
+        },
+        costs_alike=True,
+    ),
+    "surface": Family(
+        kind="surface",
+        functions={
+            "map_run": "surface.stages:map_point",
+            "make_basis": "surface.stages:make_basis",
+            "fit_splines": "surface.stages:fit_splines",
+            "project": "surface.stages:project",
+            "trained": "surface.stages:trained_model",
+            "model": "surface.model:SurfaceModel",
+            "run_point": "surface.model:run_point",
+            "sized": "surface.stored:sized",
+            "stored_run": "surface.model:StoredSurfaceRun",
+            "limits": "surface.model:limits",
+            "measured_at": "surface.stored:measured_at",
+        },
+        lacks={
+            Ability.EQUATIONS: _NO_POLYNOMIAL,
+            Ability.SENSITIVITIES: _NO_POLYNOMIAL,
+            Ability.TRAINING: "needs estimates of errors, which models of a free surface don't "
+            "have; list the runs to train on in parameters.train",
+            Ability.EXTREMES: "maps no models of a free surface",
+            Ability.MEMORY: "models of a free surface have no memory",
+            Ability.MODE_FIELDS: "models of a free surface need no splines of modes",
+        },
+    ),
+}
+"""The families by the name that the plan of a case gives."""
 
 
 def family_of(case: Case, section: ReducedModelSection | None = None) -> Family:
     """Return the family of a model, by default that of the stages of a case."""
-    family: Family = import_module(FAMILIES[case.plan.family(section)]).FAMILY
-    return family
+    return FAMILIES[case.plan.family(section)]
 
 
 def model_of(workspace: Workspace, section: ReducedModelSection) -> Model[Any]:
     """Return a model of a case."""
-    return family_of(workspace.case, section).model(workspace, section)
+    model: Model[Any] = family_of(workspace.case, section).part("model")(workspace, section)
+    return model
 
 
 def basis_used(
@@ -189,7 +205,8 @@ def basis_used(
 ) -> tuple[str, int]:
     """Return the name of the basis that a model uses at a point, and the number of its modes."""
     name = workspace.case.plan.basis_for(section, point)
-    return name, family_of(workspace.case, section).sized(workspace, section, name).size
+    sized = family_of(workspace.case, section).part("sized")
+    return name, sized(workspace, section, name).size
 
 
 class Model(ABC, Generic[At]):

@@ -27,7 +27,7 @@ def map_runs(context: StageContext) -> None:
     for point in context.chosen(context.case.plan.points):
         if workspace.must_make(workspace.mapped(point)):
             workspace.require(workspace.full_run(point))
-            family_of(context.case).map_run(workspace, point)
+            family_of(context.case).part("map_run")(workspace, point)
 
 
 def make_basis(context: StageContext) -> None:
@@ -35,12 +35,12 @@ def make_basis(context: StageContext) -> None:
     workspace = Workspace(context)
     require_room(context.case, workspace.out, None, "pod")
     if workspace.must_make(workspace.basis()):
-        family_of(context.case).make_basis(workspace)
+        family_of(context.case).part("make_basis")(workspace)
 
 
 def fit_splines(context: StageContext) -> None:
     """Stage `fit-psi`: fit splines to the modes of every basis."""
-    family_of(context.case).fit_splines(Workspace(context))
+    family_of(context.case).part("fit_splines")(Workspace(context))
 
 
 def project(context: StageContext) -> None:
@@ -51,7 +51,7 @@ def project(context: StageContext) -> None:
         return
     require_room(context.case, workspace.out, None, "operators")
     if workspace.must_make(workspace.operators()):
-        family_of(context.case).project(workspace)
+        family_of(context.case).part("project")(workspace)
 
 
 def make_operators(context: StageContext) -> None:
@@ -71,10 +71,8 @@ def train_models(context: StageContext) -> None:
     histories = getattr(case.scene, "histories", {}).items()
     for section in case.rom:
         family = family_of(case, section)
-        if Ability.RUNS_ALONE not in family.abilities:
-            continue
         target = workspace.model(section)
-        if not workspace.must_make(target):
+        if not (family.can(Ability.RUNS_ALONE) and workspace.must_make(target)):
             continue
         started = time.perf_counter()
         common = {
@@ -83,7 +81,7 @@ def train_models(context: StageContext) -> None:
             "sound_speed": case.plan.sound_speed,
             "histories": {name: HistoryTable.of(history) for name, history in histories},
         }
-        stored = family.trained(workspace, section, common)
+        stored = family.part("trained")(workspace, section, common)
         if stored is not None:
             with workspace.create(target) as artifact:
                 write_record(artifact, stored)
@@ -117,5 +115,5 @@ def ensure_run(workspace: Workspace, model: ReducedModelSection, point: Paramete
     """Run a reduced model at a parameter point unless its run is up to date."""
     target = workspace.reduced_run(model, point)
     if workspace.must_make(target):
-        family_of(workspace.case, model).run_point(workspace, model, point)
+        family_of(workspace.case, model).part("run_point")(workspace, model, point)
     return target

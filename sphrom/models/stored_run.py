@@ -56,7 +56,9 @@ class StoredRun:
         model: ReducedModelSection | None = None,
     ) -> StoredRun:
         """Return the run of an open artifact; without a model, a full run."""
-        kind = StoredRun if model is None else family_of(workspace.case, model).stored_run()
+        kind: type[StoredRun] = StoredRun
+        if model is not None:
+            kind = family_of(workspace.case, model).part("stored_run")
         return kind(workspace, run, point, model)
 
     @classmethod

@@ -235,7 +235,7 @@ class GraphModel:
 
 
 def calibrated_model(plain: GraphModel, trained: TrainedGraph) -> GraphModel:
-    """Return a model with what training runs taught models of its size."""
+    """Return a model with the depth, gravity and closure that training runs determined."""
     return replace(
         plain,
         depth=plain.depth + trained.rise,

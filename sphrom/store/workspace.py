@@ -273,6 +273,11 @@ class Workspace(ArtifactFolder):
         """The trial bases, and the splines of their modes if there are any."""
         return list(self._named(self._files.bases).values())
 
+    def made_from(self, model: ReducedModelSection) -> list[Target]:
+        """The artifacts of all training runs from which a model is made, each once."""
+        files = MODEL_FILES[self.case.plan.family(model)]
+        return list(self._named((*files.bases, *files.parents)).values())
+
     def _named(self, names: Iterable[str]) -> dict[str, Target]:
         return {name: getattr(self, name)() for name in names}
 

@@ -87,7 +87,7 @@ def _swept(task: Task) -> SweptModel:
 def runs_alone(case: Case) -> bool:
     """Return whether the runs of a case's sweep take no particles, and little time."""
     model = sweep_model(case)
-    return model is not None and Ability.RUNS_ALONE in family_of(case, model).abilities
+    return model is not None and family_of(case, model).can(Ability.RUNS_ALONE)
 
 
 class SweptModel:
@@ -167,8 +167,8 @@ class SweptModel:
                 values |= zip(MEASURED_ERRORS, np.sqrt(pairs).T, strict=True)
         values |= _kept(run.measured)
         derivatives: dict[str, float] = {}
-        can_differ = Ability.SENSITIVITIES in run.model.family.abilities
-        if can_differ and self.workspace.case.sweep.sensitivities:
+        has_slopes = run.model.family.can(Ability.SENSITIVITIES)
+        if has_slopes and self.workspace.case.sweep.sensitivities:
             derivatives = _derivatives(run)
             values["derivatives"] = np.array([*derivatives.values()])
         return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))

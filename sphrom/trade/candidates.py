@@ -77,7 +77,7 @@ def candidates(
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
     ends = {"galerkin": available}
     # The closure has operators for the viscosity only.
-    if Ability.MEMORY in family_of(case).abilities and not case.plan.driving:
+    if family_of(case).can(Ability.MEMORY) and not case.plan.driving:
         own = also if first.projection == "apg" else ()
         ends["apg"] = min(available, max((MOST_CLOSED_MODES, *own)))
     for projection, end in ends.items():

@@ -162,7 +162,7 @@ class Maps:
         family_of(case).require(Ability.EXTREMES, "--extremes")
         basis = global_basis(case)
         first = first_model(case)
-        n_modes = family_of(case, first).sized(Workspace(context), first, basis).size
+        n_modes = family_of(case, first).part("sized")(Workspace(context), first, basis).size
         self.factors, self.quick = QUICK if quick else FACTORS, quick
         self.notes: list[str] = []
         self.point = context.chosen(trade_points(case))[0]

@@ -171,7 +171,7 @@ class _Trade:
             runs,
             family=family,
             keys=f"{{{keys}}}",
-            kind=section.evaluation,
+            kind="operators",
             n_modes=section.n_modes,
             resolution=self.case.discretization.resolution,
             offline_seconds=offline,

@@ -83,7 +83,7 @@ class ModelRow:
     keys: str | None = None
     """The entry for `rom` in a case; None if there can be none, as with other steps."""
     kind: str
-    """`full`, or the `evaluation` of a reduced model."""
+    """`full`, or `operators` for a reduced model."""
     n_modes: int | None = None
     resolution: int
     time_step: float = field(metadata=SECONDS)

@@ -1,7 +1,8 @@
-"""Imports only go down, and a command line that only helps loads no numerics."""
+"""Imports only go down, help loads no numerics, and only families know the kind of a model."""
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -40,3 +41,33 @@ def test_a_case_is_checked_without_kernels_and_files(tmp_path: Path, printed) ->
         "print(*[m for m in ('numba', 'scipy', 'h5py', 'matplotlib', 'rich') if m in sys.modules])"
     )
     assert printed(code) == "\n"
+
+
+KINDS = ("has_surface", "from_operators", "evaluation")
+"""Keys and properties of a case that decide on the family of its models."""
+ROOMS = ("case", "setup", "sph", *(f"models/{name}" for name in ("points", "particles", "surface")))
+"""Where a case, the full model and a family may ask for them."""
+
+
+def _asks(node: ast.AST) -> bool:
+    """Whether an expression asks for the kind of a model."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        return node.func.id == "isinstance" and any(
+            isinstance(part, ast.Name) and part.id.startswith(("Fast", "Surface", "Particle"))
+            for part in ast.walk(node.args[1])
+        )
+    return isinstance(node, ast.Attribute) and node.attr in KINDS
+
+
+def test_nothing_outside_of_a_family_branches_on_the_kind_of_a_model() -> None:
+    """Doors ask for an ability (`sphrom.models.contract`)."""
+    package = ROOT / "sphrom"
+    paths = {path.relative_to(package).as_posix(): path for path in package.rglob("*.py")}
+    found = [
+        f"{name}:{node.lineno}"
+        for name, path in paths.items()
+        if not name.startswith(ROOMS)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if _asks(node)
+    ]
+    assert found == []

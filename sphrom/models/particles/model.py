@@ -9,6 +9,7 @@ from functools import partial
 
 from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples
 from sphrom.models.contract import Model, ModelRun
@@ -17,10 +18,16 @@ from sphrom.models.particles.runs import build_model, close
 from sphrom.models.stages import ensure_run
 from sphrom.models.stored_run import StoredRun
 from sphrom.store.trajectory import measured_of
+from sphrom.store.workspace import Workspace
 
 
 class ParticleRuns(Model[None]):
     """One model on particles. A run is written as the stage `rom` does, unless it exists."""
+
+    def __init__(
+        self, workspace: Workspace, section: ReducedModelSection, stored: None = None
+    ) -> None:
+        super().__init__(workspace, section)
 
     def at(self, point: ParameterPoint) -> None:
         """Return nothing: a run needs its particles."""

@@ -7,13 +7,13 @@ number of modes: it contains the residual of the projection onto these modes alo
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphrom.arrays import Array
-from sphrom.artifacts import Artifact, read_record
-from sphrom.artifacts.records.reduced_models import Starts, TrainedModel
+from sphrom.artifacts import read_record
+from sphrom.artifacts.records.reduced_models import BasisOperators, Starts, TrainedModel
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
@@ -28,11 +28,11 @@ from sphrom.reduction.calibration import (
     fitted_cycle,
 )
 from sphrom.reduction.held_out import best_size
-from sphrom.reduction.reduced_measures import ReducedForce
+from sphrom.reduction.reduced_measures import ReducedMeasure
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
-from sphrom.store.trajectory import read_by_quantity, totals
+from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 N_BLOCK_SNAPSHOTS = 16
@@ -114,33 +114,25 @@ def snapshot_times(case: Case) -> Array:
     return steps.start_time + steps.snapshot_interval * numbers
 
 
-def read_operators(artifact: Artifact, name: str) -> ReducedOperators:
-    """Read the operators of all modes of a basis."""
-    driven = artifact.number("walls_driven") == 1.0
-    return read_record(artifact, ReducedOperators, f"bases/{name}", walls_driven=driven)
+def read_operators(workspace: Workspace, name: str) -> BasisOperators:
+    """Read the operators of all modes of a basis, with the data of its training runs."""
+    with workspace.open(workspace.operators()) as artifact:
+        stored = read_record(artifact, BasisOperators, f"bases/{name}")
+        driven = artifact.number("walls_driven") == 1.0
+    rates = replace(stored.rates, walls_driven=driven)
+    residual = stored.residual and replace(stored.residual, walls_driven=driven)
+    return replace(stored, rates=rates, residual=residual)
 
 
-def read_wall_force(
-    artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
-) -> tuple[ReducedForce, Array]:
-    """Read the force of a measurement, as a function of the coordinates of some modes of a basis.
-
-    Return also the recorded loads (n_runs, n_snapshots, 2, 3) [N/m, N] of the training runs.
-    """
-    group = f"bases/{basis}/wall_force/{name}"
-    force = read_record(artifact, ReducedForce, group).of_modes(modes)
-    return force, artifact.read(f"{group}/training_loads")
-
-
-def read_recorded(case: Case, artifact: Artifact, basis: str) -> dict[str, Quantities]:
-    """Read the measurements (n_runs, n_snapshots, ...) of a basis's full training runs."""
-    group, recorded = f"bases/{basis}", {}
-    for name, section in case.scene.recorded.items():
-        if section.force_on is not None:
-            recorded[name] = totals(artifact.read(f"{group}/wall_force/{name}/training_loads"))
-        else:
-            recorded[name] = read_by_quantity(artifact, f"{group}/measure/{name}/training_")
-    return with_coefficients(recorded, case.plan.coefficients)
+def recorded_of(case: Case, stored: BasisOperators) -> dict[str, Quantities]:
+    """Return the measurements (n_runs, n_snapshots, ...) of a basis's full training runs."""
+    recorded: dict[str, Quantities] = {
+        name: {q: vars(measure)[f"training_{q}"] for q in ReducedMeasure.of(measure).quantities}
+        for name, measure in stored.measure.items()
+    }
+    recorded |= {name: totals(force.training_loads) for name, force in stored.wall_force.items()}
+    ordered = {name: recorded[name] for name in case.scene.recorded}
+    return with_coefficients(ordered, case.plan.coefficients)
 
 
 def memory_timing(basis: str, n_modes: int) -> str:

@@ -1,4 +1,4 @@
-"""The training of a model from operators with one basis: artifacts in, a record out.
+"""The training of a model from operators with one basis: records in, a record out.
 
 The model is calibrated with its training runs, repeats them, and learns from its errors there:
 the corrections of coordinates and forces, and the fit of error estimates.
@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
@@ -26,8 +25,7 @@ from sphrom.models.points.stored import (
     calibrated,
     cycle_closure,
     read_operators,
-    read_recorded,
-    read_wall_force,
+    recorded_of,
     sized,
     snapshot_times,
     stored_starts,
@@ -41,11 +39,10 @@ from sphrom.reduction.calibration import (
 )
 from sphrom.reduction.correction import UNLIMITED, Correction, learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
-from sphrom.reduction.held_out import FieldProducts, UnheldShares
+from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Run
-from sphrom.reduction.reduced_measures import ReducedMeasure
-from sphrom.reduction.reduced_operators import MemoryOperators, ResidualFactor
+from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trained_basis import (
     ALL_MODES,
@@ -92,15 +89,14 @@ def train(
     Raises CaseError if the case requires a calibration that is impossible.
     """
     section = sized(workspace, section, name)
-    with workspace.open(workspace.operators()) as artifact:
-        model = _Training(workspace, section, name, start, artifact).model()
+    model = _Training(workspace, section, name, start).model()
     # Sums over arrays in this order have the bits of a model that is read from its artifact.
     model.trained = model.trained.mapped(np.ascontiguousarray)
     return model
 
 
 class _Training:
-    """The training of one model from an open artifact of operators."""
+    """The training of one model."""
 
     def __init__(
         self,
@@ -108,16 +104,14 @@ class _Training:
         section: ReducedModelSection,
         name: str,
         start: Start,
-        artifact: Artifact,
     ) -> None:
         self.workspace = workspace
         self.section = section
         self.name = name
         self.start = start
-        self.artifact = artifact
         self.case = workspace.case
         self.points = self.case.plan.bases[name]
-        self.group = f"bases/{name}"
+        self.stored = read_operators(workspace, name)
         self.modes = np.arange(section.size)
         self.times = snapshot_times(self.case)
         whole = read_basis(workspace, name)
@@ -126,7 +120,8 @@ class _Training:
         self.is_corrected = self.case.plan.is_corrected(section, name)
         self.projected: Array | None = None
         if section.is_calibrated or self.is_corrected:
-            self.projected = artifact.read(f"{self.group}/training_runs")[..., self.modes]
+            assert self.stored.training_runs is not None
+            self.projected = self.stored.training_runs[..., self.modes]
 
     def model(self) -> BasisModel:
         """Return the trained model."""
@@ -193,19 +188,17 @@ class _Training:
             return self.section.size
         if self.section.integrated_modes != AUTO:
             return self.section.integrated_modes
-        chosen = f"{self.group}/held_out/integrated"
-        if not self.section.is_calibrated or chosen not in self.artifact:
+        chosen = self.stored.held_out
+        if not self.section.is_calibrated or chosen is None:
             return self.section.size
-        return int(self.artifact.read(chosen)[self.section.size - 1])
+        return int(chosen.integrated[self.section.size - 1])
 
     def _rates(self, section: ReducedModelSection, modes: Indices) -> TrainedRates:
         """Return the calibrated rates of some modes; their linear parts are made later."""
-        operators = read_operators(self.artifact, self.name).of_modes(modes)
+        operators = self.stored.rates.of_modes(modes)
         memory, calibration, cycles = None, None, None
         if section.projection == "apg":
-            memory = read_record(
-                self.artifact, MemoryOperators, f"{self.group}/memory/{section.size}"
-            )
+            memory = self.stored.memory[str(section.size)]
         if section.is_calibrated:
             assert self.projected is not None
             fit: Callable[..., Calibration | CycleClosure] = calibrated
@@ -229,7 +222,7 @@ class _Training:
             calibration=calibration,
             cycles=cycles,
             linear=np.zeros((0, len(modes), len(modes))),
-            states=self.artifact.read(f"{self.group}/states")[:, modes],
+            states=self.stored.states[:, modes],
         )
 
     def _with_linear_parts(self, trained: TrainedBasis) -> dict[str, TrainedRates]:
@@ -246,26 +239,26 @@ class _Training:
         """Return the measured forces without correction, and their harmonics on limit cycles."""
         forces = {}
         for measured in self.case.scene.measured_walls:
-            force, recorded = read_wall_force(self.artifact, self.name, measured, self.modes)
+            force = self.stored.wall_force[measured]
             on_cycles = None
             if isinstance(closure, CycleClosure):
                 harmonics = np.stack(
                     [
                         harmonics_of(self.times, e.reshape(len(self.times), -1), cycle.frequency)
-                        for e, cycle in zip(recorded, closure.cycles, strict=True)
+                        for e, cycle in zip(force.training_loads, closure.cycles, strict=True)
                     ]
                 )
                 on_cycles = CycleLoads(real=harmonics.real, imaginary=harmonics.imag)
-            forces[measured] = TrainedForce(projected=force, on_cycles=on_cycles)
+            forces[measured] = TrainedForce(
+                projected=ReducedForce.of(force).of_modes(self.modes), on_cycles=on_cycles
+            )
         return forces
 
     def _measures(self) -> dict[str, ReducedMeasure]:
         """Return the measured fields."""
         return {
-            each: read_record(
-                self.artifact, ReducedMeasure, f"{self.group}/measure/{each}"
-            ).of_modes(self.modes)
-            for each in self.case.scene.measured_fields
+            name: ReducedMeasure.of(measure).of_modes(self.modes)
+            for name, measure in self.stored.measure.items()
         }
 
     def _corrected_forces(
@@ -283,7 +276,7 @@ class _Training:
         weights = sound_averages(self.case)
         found = {}
         for name, force in trained.forces.items():
-            _, recorded = read_wall_force(self.artifact, self.name, name, self.modes)
+            recorded = self.stored.wall_force[name].training_loads
             defects = recorded - np.stack([each[name] for each in own])
             defects = defects.reshape(*defects.shape[:2], -1)
             slow = np.stack([smoothed(each, weights) for each in defects])
@@ -302,14 +295,13 @@ class _Training:
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
     ) -> TrainedErrors:
         """Return the data of error estimates, fitted to the errors of training runs."""
-        estimate = f"{self.group}/estimate"
         model = self._with(trained)
-        whole = read_operators(self.artifact, self.name)
-        driven = {"walls_driven": whole.walls_driven}
-        factor = read_record(self.artifact, ResidualFactor, f"{self.group}/residual", **driven)
-        unheld = read_record(self.artifact, UnheldShares, f"{estimate}/unheld")
-        products = read_record(self.artifact, FieldProducts, estimate)
-        products = products.only(self.modes, self.n_all_modes)
+        whole = self.stored.rates
+        factor = self.stored.residual
+        estimate = self.stored.estimate
+        assert factor is not None
+        assert estimate is not None
+        products = FieldProducts.of(estimate).only(self.modes, self.n_all_modes)
         scale = self.case.fluid.reference_density * self.case.plan.sound_speed
         compared = compared_snapshots(self.case.plan.steps.n_snapshots)
         errors = TrainedErrors(
@@ -334,7 +326,7 @@ class _Training:
             np.stack(known),
             compared,
             trained.places,
-            unheld.mapped(lambda shares: shares[..., self.section.size - 1, :]),
+            estimate.unheld.mapped(lambda shares: shares[..., self.section.size - 1, :]),
         )
         complete = [k for k, (_, run) in enumerate(held_out) if np.isfinite(run).all()]
         if not complete:
@@ -356,7 +348,7 @@ class _Training:
         """
         own = [quantities_of(self.case, reduced, self.times, run) for reduced, run in held_out]
         found = {}
-        for name, full in read_recorded(self.case, self.artifact, self.name).items():
+        for name, full in recorded_of(self.case, self.stored).items():
             quantities: Quantities = {
                 q: each[complete] - np.stack([one[name][q] for one in own])
                 for q, each in full.items()

@@ -1,1 +1,1 @@
-"""What models on particles and from operators share: the map, bases and splines of modes."""
+"""The map, bases and splines of modes, for models on particles and from operators."""

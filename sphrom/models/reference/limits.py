@@ -1,4 +1,4 @@
-"""What models on the reference space are compared with: the map, and the best states of a basis."""
+"""Limits of models on the reference space: the map, and the best states of a basis."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def limits(
         for model in models:
             key = basis_used(workspace, model, point)
             # Models with equations compute measurements from their coordinates.
-            if Ability.EQUATIONS in family_of(case, model).abilities and case.scene.measure:
+            if family_of(case, model).can(Ability.EQUATIONS) and case.scene.measure:
                 used[key] = model
             used.setdefault(key, None)
         for (name, size), measuring in sorted(used.items(), key=lambda pair: pair[0]):
@@ -59,6 +59,11 @@ def limits(
                 measured = measured_of_best(workspace, measuring, point, mapped)
             yield Limit(best_name(name, size), both, name, size, measured)
             yield Limit(f"{ALONE}, {name} M={size}", alone, name, size)
+
+
+def measured_at(workspace: Workspace, point: ParameterPoint) -> Measured:
+    """Return no measurements: those of the case are all."""
+    return {}
 
 
 def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples:

@@ -27,7 +27,7 @@ from sphrom.models.contract import (
 )
 from sphrom.models.starts import start
 from sphrom.models.stored_run import ComputedRun
-from sphrom.models.surface.stored import elevation_of, read_surface_basis, trained_size
+from sphrom.models.surface.stored import elevation_of, trained_size
 from sphrom.reduction.graph_model import GraphModel, GraphRun, calibrated_model
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.setup.assembly import field_measures, run_attributes, uniform_force
@@ -69,12 +69,10 @@ class SurfaceModel(Model[SurfaceModelAt]):
         stored: TrainedSurfaceModel | None = None,
     ) -> None:
         if stored is None:
-            self.trained = trained_size(workspace, section)
-            whole = read_surface_basis(workspace)
-            self.basis = whole.reduced(self.trained.n_modes, self.trained.n_surface)
+            self.basis, self.trained = trained_size(workspace, section)
         else:
-            self.trained = stored.graph
             self.basis = stored.basis
+            self.trained = stored.graph
         sized = section.model_copy(update={"n_modes": self.trained.n_modes})
         super().__init__(workspace, sized)
         self._starts: dict[object, Array] = {}

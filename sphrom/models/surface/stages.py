@@ -7,18 +7,18 @@ trained for some numbers of modes (`sphrom.reduction.graph_model`).
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sphrom.artifacts import write_record
-from sphrom.artifacts.records.runs import StoredSurfaceBasis, SurfaceModels
+from sphrom.artifacts.records.runs import StoredSurfaceBasis, SurfaceModels, TrainedSurfaceModel
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, AUTO
+from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.errors import CaseError, SphromError, UnstableError
 from sphrom.metrics.histories import energy
-from sphrom.models.surface.stored import elevation_of, read_surface_basis
+from sphrom.models.surface.stored import elevation_of, read_surface_basis, trained_size
 from sphrom.plots.tables import format_figure
 from sphrom.reduction import surface_basis
 from sphrom.reduction.surface_basis import TrainedGraph, chosen_size
@@ -146,6 +146,19 @@ def project(workspace: Workspace) -> None:
     if any(model.n_modes == AUTO for model in case.rom):
         size = chosen_size(trained)
         workspace.context.report.info(f"n_modes: auto takes {size} modes, of {sizes[-1]} at most")
+
+
+def fit_splines(workspace: Workspace) -> None:
+    """Say that there is nothing to do: stream functions are splines."""
+    workspace.context.report.info("models of a free surface need no splines of modes")
+
+
+def trained_model(
+    workspace: Workspace, section: ReducedModelSection, common: Mapping[str, Any]
+) -> TrainedSurfaceModel:
+    """Return a trained model as its file has it."""
+    basis, graph = trained_size(workspace, section)
+    return TrainedSurfaceModel(basis=basis, graph=graph, **common)
 
 
 def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:

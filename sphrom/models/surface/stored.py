@@ -8,8 +8,10 @@ from sphrom.arrays import Array
 from sphrom.artifacts import read_record
 from sphrom.artifacts.records.runs import SurfaceModels
 from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.metrics.elevation import find_elevation
+from sphrom.models.contract import SURFACE, Measured
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph, chosen_size
 from sphrom.sph.fluid import volume_of
@@ -22,14 +24,29 @@ def read_surface_basis(workspace: Workspace) -> SurfaceBasis:
         return read_record(artifact, SurfaceBasis, f"bases/{ALL}")
 
 
-def trained_size(workspace: Workspace, section: ReducedModelSection) -> TrainedGraph:
-    """Return the trained parameters of a model with its number of modes."""
+def trained_size(
+    workspace: Workspace, section: ReducedModelSection
+) -> tuple[SurfaceBasis, TrainedGraph]:
+    """Return the basis and the trained parameters of a model with its number of modes."""
     with workspace.open(workspace.operators()) as artifact:
         trained = read_record(artifact, SurfaceModels).sizes
     size = section.n_modes
     if size == AUTO:
         size = chosen_size({int(size): each for size, each in trained.items()})
-    return trained[str(size)]
+    graph = trained[str(size)]
+    return read_surface_basis(workspace).reduced(graph.n_modes, graph.n_surface), graph
+
+
+def sized(workspace: Workspace, section: ReducedModelSection, basis: str) -> ReducedModelSection:
+    """Return a model with its number of modes, those of noise left out."""
+    _, graph = trained_size(workspace, section)
+    return section.model_copy(update={"n_modes": graph.n_modes})
+
+
+def measured_at(workspace: Workspace, point: ParameterPoint) -> Measured:
+    """Return the elevation of the whole surface in a mapped full run."""
+    with workspace.open(workspace.mapped(point)) as mapped:
+        return {SURFACE: {"elevation": mapped.read("elevation")}}
 
 
 def elevation_of(case: Case, space: StreamSpace, columns: Array) -> Callable[[Array, Array], Array]:
