@@ -289,8 +289,6 @@ def fast(study: sphrom.Study) -> sphrom.Model:
         (lambda s: s.model("fast", reynolds=1, lid=2), "'lid': varies in neither"),
         (lambda s: s.model("local", reynolds=150), "no unique local basis"),
         (lambda s: s.model("local", reynolds=200), "has no operators"),
-        (lambda s: s.model("faithful", reynolds=150).rates([0]), "is evaluated on particles"),
-        (lambda s: s.model("faithful", reynolds=150).run(final_time=1), "final_time: needs"),
         (lambda s: s.run(until="operator"), "'operator'; did you mean operators"),
         (lambda s: s.run_stage("fom", only=["reynolds=7"]), "this command runs"),
         (lambda s: fast(s).rates(np.zeros(4)), "must have the shape (3,); got (4,)"),

@@ -212,7 +212,10 @@ def basis_used(
 class Model(ABC, Generic[At]):
     """One reduced model, at any parameters. If training runs choose its size, runs know it."""
 
-    def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
+    def __init__(
+        self, workspace: Workspace, section: ReducedModelSection, stored: Any = None
+    ) -> None:
+        """Take the model from the content of its file, if that is `stored`."""
         self.workspace = workspace
         self.section = section
 
@@ -252,10 +255,6 @@ class Model(ABC, Generic[At]):
         """Return the derivatives of a run by some parameters, in steps longer by a factor."""
         raise NotImplementedError
 
-    def measures(self, reduced: At, time: Array, coordinates: Array) -> dict[str, Quantities]:
-        """Return the measurements of states (n_states, n_modes) at times (n_states,) [s]."""
-        raise NotImplementedError
-
     def trained_differences(
         self, points: Sequence[ParameterPoint]
     ) -> list[tuple[Array, dict[str, Quantities]]]:
@@ -284,6 +283,8 @@ class ModelRun(ABC):
     """[s]."""
     correction: Array | None = None
     """(n_snapshots, n_modes) part of the coordinates that training runs add, if there is one."""
+    ended: str | None = None
+    """Why the run ended early; None if it did not."""
 
     @property
     def name(self) -> str:
@@ -291,9 +292,9 @@ class ModelRun(ABC):
         return f"{self.model.section.name}, {self.point.label}"
 
     @property
-    @abstractmethod
     def failure(self) -> UnstableError | None:
-        """Why the run ended early; None if it did not."""
+        """The error of a run that ended early; None if it did not."""
+        return None if self.ended is None else UnstableError(self.ended)
 
     @property
     @abstractmethod

@@ -51,7 +51,7 @@ TANK: dict[str, Any] = {
     },
     "fluid": {"reference_speed": 0.7},
     "discretization": {"resolution": 10},
-    "time": {"final_time": 2.0},
+    "time": {"spin_up": 0.2, "final_time": 2.0},
     "snapshots": {"every": 5},
     "parameters": {"train": {"reynolds": [250], "ratio": [0.85, 1.1]}},
     "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}],

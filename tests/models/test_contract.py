@@ -8,14 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
 import sphrom
 from sphrom.case import tables
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import CaseError
+from sphrom.errors import ArtifactError, CaseError
 from sphrom.models.contract import FAMILIES, Ability, Model, ModelRun, family_of, model_of
+from sphrom.models.points.fast_model import FastModel
 from sphrom.models.stored_run import StoredRun
 from sphrom.store.workspace import Workspace
 
@@ -68,29 +70,14 @@ def test_a_run_has_times_shapes_and_a_name(opened: Opened) -> None:
     assert run.largest_speed > 0.0
     assert set(run.measured) == set(model.workspace.case.scene.recorded)
     assert all(len(v) == len(times) for each in run.measured.values() for v in each.values())
-
-
-def test_a_probe_measures_what_is_sampled_there(family: str, opened: Opened) -> None:
-    _, _, run = opened
-    samples = run.sampled(np.array([PROBE[family]]))
-    for name in ("velocity", "pressure"):
-        found = getattr(samples, name)
-        measured = run.measured["centre"][name]
-        np.testing.assert_allclose(measured, found, atol=1e-9 * np.abs(found).max())
-
-
-def test_estimates_are_none_or_over_the_run(opened: Opened) -> None:
-    _, _, run = opened
     if run.estimate is None:
         assert run.measured_errors == run.measured_shares == {}
-        return
-    assert run.estimate.velocity.shape == run.estimate.pressure.shape == run.time.shape
-    assert {name: each.keys() for name, each in run.measured_errors.items()} == {
-        name: each.keys() for name, each in run.measured.items()
-    }
+    else:
+        assert run.estimate.velocity.shape == run.estimate.pressure.shape == times.shape
+        assert set(run.measured_errors) == set(run.measured)
 
 
-def test_a_stored_run_has_the_fields_of_the_run(family: str, opened: Opened) -> None:
+def test_runs_probes_and_stored_runs_have_one_field(family: str, opened: Opened) -> None:
     model, point, run = opened
     places = np.array([PROBE[family], [0.4, 0.2]])
     # The section of the case, whose number of modes may be reduced by noise in the model's.
@@ -102,6 +89,10 @@ def test_a_stored_run_has_the_fields_of_the_run(family: str, opened: Opened) -> 
         assert velocity.shape == stored.position(1).shape
         assert pressure.shape == velocity.shape[:1]
     expected = run.sampled(places)
+    for name in ("velocity", "pressure"):  # a probe measures what is sampled there
+        sampled = getattr(expected, name)[:, :1]
+        measured = run.measured["centre"][name]
+        np.testing.assert_allclose(measured, sampled, atol=1e-9 * np.abs(sampled).max())
     np.testing.assert_array_equal(found.velocity, expected.velocity)
     np.testing.assert_array_equal(found.pressure, expected.pressure)
 
@@ -158,3 +149,49 @@ def test_what_a_family_lacks_is_refused_by_name(
     words = re.escape(lacks[ability].format(model=NAMES[family]))
     with pytest.raises(CaseError, match=words):
         ASKED[ability](study, study.model(NAMES[family], **HERE[family]))
+
+
+@pytest.fixture
+def alone(study: sphrom.Study, tmp_path: Path) -> Path:
+    """The file of the model in a folder without anything else."""
+    return Path(shutil.copy(study.folder / "model-fast.h5", tmp_path))
+
+
+def test_a_model_that_was_just_trained_has_the_bits_of_its_file(study: sphrom.Study) -> None:
+    workspace = Workspace(study._context)
+    opened = FastModel(workspace, study.case.rom[0])
+    trained = FastModel(workspace, study.case.rom[0])
+    trained._stored = None
+    point = study.case.plan.point(BETWEEN["points"])
+    first, second = (model.run(point) for model in (opened, trained))
+    np.testing.assert_array_equal(first.coordinates, second.coordinates)
+    np.testing.assert_array_equal(first.measured["drag"]["force"], second.measured["drag"]["force"])
+    assert first.estimate is not None
+    assert second.estimate is not None
+    np.testing.assert_array_equal(first.estimate.velocity, second.estimate.velocity)
+
+
+def test_many_runs_of_a_file_are_those_of_its_study(study: sphrom.Study, alone: Path) -> None:
+    points = {"reynolds": [60.0, 150.0], "lid": [0.6, 0.9]}
+    own = study.model("fast", **BETWEEN["points"]).run_many(points)
+    assert sphrom.load(alone).run_many(points).identical(own)
+
+
+def test_a_file_is_still_checked(alone: Path) -> None:
+    with pytest.raises(CaseError, match="speed"):
+        sphrom.load(alone).at(reynolds=100.0, speed=1.0)
+    with h5py.File(alone, "r+") as file:
+        file["bases/all/places"][0, 0] = 7.0
+    with pytest.raises(ArtifactError, match="damaged"):
+        sphrom.load(alone)
+
+
+@pytest.mark.parametrize("name", ["operators.h5", "pod.h5"])
+def test_other_artifacts_are_no_models(study: sphrom.Study, name: str) -> None:
+    with pytest.raises(ArtifactError, match="no model"):
+        sphrom.load(study.folder / name)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ArtifactError, match=r"none\.h5"):
+        sphrom.load(tmp_path / "none.h5")

@@ -74,8 +74,6 @@ def test_stored_errors_and_fields_are_those_of_the_runs(place):
         some = run.sampled(where, [0, 2])
         np.testing.assert_array_equal(some.time, line.time[[0, 2]])
         np.testing.assert_array_equal(some.velocity, line.velocity[[0, 2]])
-        velocity, _ = run.fields(2)
-        assert velocity.shape == run.position(2).shape
 
 
 @pytest.mark.parametrize(

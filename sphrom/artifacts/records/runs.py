@@ -426,11 +426,21 @@ class ModelFile(Medium):
     histories: Mapping[str, HistoryTable] = part(default_factory=dict)
 
 
+class SurfaceStarts(Record):
+    """Starts of runs of a model with a free surface."""
+
+    parameters: Array = dataset("start parameter", "1", "parameter values of each start")
+    coordinates: Array = dataset(
+        "start coordinate", "of the modes, m", "coordinates of the velocity and of the elevation"
+    )
+
+
 class TrainedSurfaceModel(ModelFile, kind="sphrom/surface-model"):
     """A trained model of a flow with a free surface, with all that its runs need."""
 
     basis: SurfaceBasis = part()
     graph: TrainedGraph = part()
+    starts: SurfaceStarts | None = part(default=None)
 
 
 class SurfaceRun(Settings, kind="sphrom/surface-run"):

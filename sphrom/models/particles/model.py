@@ -9,8 +9,6 @@ from functools import partial
 
 from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
-from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples
 from sphrom.models.contract import Model, ModelRun
 from sphrom.models.fom import seconds_of_steps
@@ -18,16 +16,10 @@ from sphrom.models.particles.runs import build_model, close
 from sphrom.models.stages import ensure_run
 from sphrom.models.stored_run import StoredRun
 from sphrom.store.trajectory import measured_of
-from sphrom.store.workspace import Workspace
 
 
 class ParticleRuns(Model[None]):
     """One model on particles. A run is written as the stage `rom` does, unless it exists."""
-
-    def __init__(
-        self, workspace: Workspace, section: ReducedModelSection, stored: None = None
-    ) -> None:
-        super().__init__(workspace, section)
 
     def at(self, point: ParameterPoint) -> None:
         """Return nothing: a run needs its particles."""
@@ -36,6 +28,7 @@ class ParticleRuns(Model[None]):
         """Run the model at a parameter point, or read its run."""
         workspace = self.workspace
         with workspace.open(ensure_run(workspace, self.section, point)) as trajectory:
+            is_complete = trajectory.text("status") == "complete"
             return ParticleRun(
                 model=self,
                 point=point,
@@ -43,8 +36,7 @@ class ParticleRuns(Model[None]):
                 time=trajectory.read("time"),
                 coordinates=trajectory.read("generalized_coordinates"),
                 time_step=trajectory.number("time_step"),
-                status=trajectory.text("status"),
-                detail=str(trajectory.attributes.get("status_detail", "")),
+                ended=None if is_complete else trajectory.text("status_detail"),
                 histories=measured_of(workspace.case, trajectory),
             )
 
@@ -61,15 +53,7 @@ class ParticleRun(ModelRun):
     """A run of a model on particles."""
 
     model: ParticleRuns
-    status: str
-    detail: str
-    """Why it is not complete."""
     histories: dict[str, Quantities]
-
-    @property
-    def failure(self) -> UnstableError | None:
-        """Why the run ended early; None if it did not."""
-        return None if self.status == "complete" else UnstableError(self.detail)
 
     @property
     def measured(self) -> dict[str, Quantities]:

@@ -30,8 +30,9 @@ from sphrom.models.points.error_estimates import (
     measured_errors,
     measured_sizes,
 )
-from sphrom.models.points.stored import MappedStarts, stored_model, stored_starts
+from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
 from sphrom.models.reference.stored import read_modes
+from sphrom.models.starts import RunStarts
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
 from sphrom.reduction.trial_basis import ModeVelocities, TrialBasis
@@ -108,10 +109,10 @@ class FastModel(Model[ReferenceModel]):
         return self.on_basis(self.basis_at(point))
 
     @cached_property
-    def _starts(self) -> MappedStarts:
+    def _starts(self) -> RunStarts[Fields]:
         if (stored := self._stored) is not None:
-            return MappedStarts(self.workspace, stored.reference_position, stored.starts)
-        return MappedStarts(self.workspace, stored=stored_starts(self.workspace))
+            return mapped_starts(self.workspace, stored.reference_position, stored.starts)
+        return mapped_starts(self.workspace, stored=stored_starts(self.workspace))
 
     def run(
         self,

@@ -19,7 +19,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import Quantities, with_coefficients
 from sphrom.models.reference.stored import mapped_runs, read_points
-from sphrom.models.starts import start
+from sphrom.models.starts import RunStarts, start
 from sphrom.reduction.calibration import (
     Calibration,
     CycleClosure,
@@ -156,7 +156,7 @@ Fields = tuple[Array, Array]
 def starts_record(workspace: Workspace) -> Starts:
     """Map the starts of the training runs; without a spin-up they are alike, and one is mapped."""
     case = workspace.case
-    mapped = MappedStarts(workspace)
+    mapped = mapped_starts(workspace)
     points = case.plan.train_points if case.time.spin_up > 0.0 else case.plan.train_points[:1]
     fields = [mapped.at(point) for point in points]
     return Starts(
@@ -166,50 +166,21 @@ def starts_record(workspace: Workspace) -> Starts:
     )
 
 
-class MappedStarts:
-    """Starts of runs, mapped onto the reference points, and cached while they stay the same.
+def mapped_starts(
+    workspace: Workspace, points: Array | None = None, stored: Starts | None = None
+) -> RunStarts[Fields]:
+    """Return stored starts, if there are any, and others mapped onto points (n_points, 2) [m].
 
-    No start depends on the viscosity. Without a spin-up, points have the same start if they agree
-    in the parameters on which the scene's initial state depends.
+    By default the points are those of the case's bases.
     """
 
-    def __init__(
-        self, workspace: Workspace, points: Array | None = None, stored: Starts | None = None
-    ) -> None:
-        """Use stored starts, if there are any, and map others onto points (n_points, 2) [m].
-
-        By default the points are those of the case's bases.
-        """
-        self._workspace = workspace
-        self._points = points
-        self._stored = stored
-        self._latest: tuple[object, Fields] | None = None
-        others = workspace.case.plan.parameter_names[1:]
-        self._names = list(filter(workspace.case.scene.starts_by, others))
-
-    def at(self, point: ParameterPoint) -> Fields:
-        """Return the fields at the start of a run at a parameter point."""
-        begin = self._workspace.case.plan.start_point(point)
-        if self._latest is None or self._latest[0] != self._key(begin):
-            self._latest = self._key(begin), self._fields_at(begin)
-        return self._latest[1]
-
-    def _key(self, begin: ParameterPoint) -> object:
-        """Return the values that a start depends on: all, or those of the scene's initial state."""
-        if self._workspace.case.time.spin_up > 0.0:
-            return begin
-        return tuple(begin.factors[name] for name in self._names)
-
-    def _fields_at(self, begin: ParameterPoint) -> Fields:
-        plan = self._workspace.case.plan
-        stored = self._stored
-        if stored is not None:
-            for k, values in enumerate(stored.parameters.tolist()):
-                trained = plan.point(dict(zip(plan.parameter_names, values, strict=True)))
-                if self._key(trained) == self._key(begin):
-                    return stored.density_fluctuation[k], stored.velocity[k]
+    def mapped(begin: ParameterPoint) -> Fields:
         from sphrom.setup.particles import map_onto
 
-        points = read_points(self._workspace) if self._points is None else self._points
-        to_points = map_onto(self._workspace.case, points)
-        return to_points(**vars(start(self._workspace, begin)))
+        to_points = map_onto(workspace.case, read_points(workspace) if points is None else points)
+        return to_points(**vars(start(workspace, begin)))
+
+    if stored is None:
+        return RunStarts(workspace, mapped)
+    known = zip(stored.density_fluctuation, stored.velocity, strict=True)
+    return RunStarts(workspace, mapped, stored.parameters, known)

@@ -21,9 +21,9 @@ from sphrom.metrics.measures import COEFFICIENT, Quantities
 from sphrom.metrics.series import smoothed
 from sphrom.models.points.basis_model import BasisModel, Start, forces_of, quantities_of
 from sphrom.models.points.stored import (
-    MappedStarts,
     calibrated,
     cycle_closure,
+    mapped_starts,
     read_operators,
     recorded_of,
     sized,
@@ -65,7 +65,7 @@ def trained_model(
 ) -> TrainedModel | None:
     """Return a model trained with all its bases; None if it lacks necessary corrections."""
     starts = stored_starts(workspace)
-    start = MappedStarts(workspace, stored=starts).at
+    start = mapped_starts(workspace, stored=starts).at
     names = workspace.case.plan.bases_for(section)
     models = {name: train(workspace, section, name, start) for name in names}
     if any(model.problem is not None for model in models.values()):

@@ -14,7 +14,6 @@ from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, ReducedModelSection
-from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, with_coefficients
 from sphrom.models.contract import (
     N_TIMED,
@@ -25,7 +24,7 @@ from sphrom.models.contract import (
     ModelRun,
     best_name,
 )
-from sphrom.models.starts import start
+from sphrom.models.starts import RunStarts, start
 from sphrom.models.stored_run import ComputedRun
 from sphrom.models.surface.stored import elevation_of, trained_size
 from sphrom.reduction.graph_model import GraphModel, GraphRun, calibrated_model
@@ -75,7 +74,13 @@ class SurfaceModel(Model[SurfaceModelAt]):
             self.trained = stored.graph
         sized = section.model_copy(update={"n_modes": self.trained.n_modes})
         super().__init__(workspace, sized)
-        self._starts: dict[object, Array] = {}
+        known = stored.starts if stored is not None else None
+        if known is None:
+            self._starts = RunStarts(workspace, self.start_from)
+        else:
+            self._starts = RunStarts(
+                workspace, self.start_from, known.parameters, known.coordinates
+            )
 
     def at(self, point: ParameterPoint) -> SurfaceModelAt:
         """Return the model at a parameter point."""
@@ -92,27 +97,21 @@ class SurfaceModel(Model[SurfaceModelAt]):
         steps = case.plan.model_steps(self.section)
         density = case.fluid.reference_density
         times = OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time)
-        return SurfaceModelAt(graph, density, self._start(point), times)
+        return SurfaceModelAt(graph, density, self._starts.at(point), times)
 
-    def _start(self, point: ParameterPoint) -> Array:
-        """Return the coordinates that runs at a point start from."""
+    def start_from(self, begin: ParameterPoint) -> Array:
+        """Return the coordinates of the state from which a run at a point starts."""
         case = self.workspace.case
-        spun_up = self.workspace.case.time.spin_up > 0.0
-        begin = case.plan.start_point(point)
-        own = ((n, v) for n, v in begin.factors.items() if case.scene.starts_by(n))
-        key = begin if spun_up else tuple(own)
-        if key not in self._starts:
-            state = start(self.workspace, begin)
-            columns = case.plan.surface_columns
-            level = case.scene.level_at(begin.factors)
-            elevation = np.full_like(columns, level)
-            if spun_up or not math.isfinite(level):
-                elevation = elevation_of(case, self.basis.space, columns)(
-                    state.position, state.density_fluctuation
-                )
-            coefficients, _ = self.basis.space.fit(state.position, state.velocity)
-            self._starts[key] = self.basis.project(coefficients[None], elevation[None])[0]
-        return self._starts[key]
+        state = start(self.workspace, begin)
+        columns = case.plan.surface_columns
+        level = case.scene.level_at(begin.factors)
+        elevation = np.full_like(columns, level)
+        if case.time.spin_up > 0.0 or not math.isfinite(level):
+            elevation = elevation_of(case, self.basis.space, columns)(
+                state.position, state.density_fluctuation
+            )
+        coefficients, _ = self.basis.space.fit(state.position, state.velocity)
+        return self.basis.project(coefficients[None], elevation[None])[0]
 
     def run(self, point: ParameterPoint, reduced: SurfaceModelAt | None = None) -> SurfaceRun:
         """Run the model at a parameter point; `reduced` may have other output times."""
@@ -131,6 +130,7 @@ class SurfaceModel(Model[SurfaceModelAt]):
 
     def _run_of(self, point: ParameterPoint, reduced: SurfaceModelAt, run: GraphRun) -> SurfaceRun:
         interval = reduced.output_times.interval
+        where = f"t = {run.end_time:.6g} s, x = {run.end_place:.4g} m"
         return SurfaceRun(
             model=self,
             point=point,
@@ -138,7 +138,7 @@ class SurfaceModel(Model[SurfaceModelAt]):
             time=run.times,
             coordinates=run.coordinates,
             time_step=interval / math.ceil(interval / reduced.graph.time_step),
-            ending=run,
+            ended=None if run.ended is None else f"ended at {where}: {run.ended}",
         )
 
 
@@ -148,18 +148,6 @@ class SurfaceRun(ModelRun):
 
     model: SurfaceModel
     reduced: SurfaceModelAt
-    ending: GraphRun
-    """Its time, place and reason, if it ended early."""
-
-    @property
-    def failure(self) -> UnstableError | None:
-        """Why the run ended early; None where it didn't."""
-        run = self.ending
-        if run.ended is None:
-            return None
-        return UnstableError(
-            f"ended at t = {run.end_time:.6g} s, x = {run.end_place:.4g} m: {run.ended}"
-        )
 
     @property
     def kinetic_energy(self) -> Array:

@@ -13,12 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sphrom.artifacts import write_record
-from sphrom.artifacts.records.runs import StoredSurfaceBasis, SurfaceModels, TrainedSurfaceModel
+from sphrom.artifacts.records.runs import (
+    StoredSurfaceBasis,
+    SurfaceModels,
+    SurfaceStarts,
+    TrainedSurfaceModel,
+)
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.errors import CaseError, SphromError, UnstableError
 from sphrom.metrics.histories import energy
-from sphrom.models.surface.stored import elevation_of, read_surface_basis, trained_size
+from sphrom.models.surface.stored import elevation_of, read_surface_basis
 from sphrom.plots.tables import format_figure
 from sphrom.reduction import surface_basis
 from sphrom.reduction.surface_basis import TrainedGraph, chosen_size
@@ -156,9 +161,16 @@ def fit_splines(workspace: Workspace) -> None:
 def trained_model(
     workspace: Workspace, section: ReducedModelSection, common: Mapping[str, Any]
 ) -> TrainedSurfaceModel:
-    """Return a trained model as its file has it."""
-    basis, graph = trained_size(workspace, section)
-    return TrainedSurfaceModel(basis=basis, graph=graph, **common)
+    """Return a trained model as its file has it, with the starts of the training runs."""
+    from sphrom.models.surface.model import SurfaceModel  # it loads kernels
+
+    model = SurfaceModel(workspace, section)
+    points = workspace.case.plan.train_points
+    starts = SurfaceStarts(
+        parameters=np.array([list(point.as_dict().values()) for point in points]),
+        coordinates=np.stack([model.start_from(point) for point in points]),
+    )
+    return TrainedSurfaceModel(basis=model.basis, graph=model.trained, starts=starts, **common)
 
 
 def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:
