@@ -132,7 +132,7 @@ def profiled(seconds: dict[str, float]) -> Iterator[None]:
         (sweeps, "regularity", "regularity"),
         (sweeps, "rates", "rates"),
         (sweeps, "gather", "gather"),
-        (functional_module.Functional, "_wall_terms", "ghosts"),
+        (functional_module.Functional, "_around", "ghosts"),
         (neighbourhood_module.Neighbourhood, "update", "neighbours"),
     ]
     before = [getattr(owner, name) for owner, name, _ in parts]

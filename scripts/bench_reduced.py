@@ -31,7 +31,7 @@ from rich.table import Table
 
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import PointModelSection
 from sphrom.compare.costs import full_run_timer, largest_step, taking_turns
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
@@ -114,7 +114,7 @@ def timers(
 def integrator_of(workspace: Workspace, n_modes: int) -> tuple[ReferenceModel, Integrator]:
     """Return a model on the reference points, and what integrates it over the runs' duration."""
     (point,) = workspace.case.plan.train_points
-    section = ReducedModelSection(
+    section = PointModelSection(
         name="fast", evaluation="operators", n_modes=n_modes, calibrated=True
     )
     reduced = FastModel(workspace, section).at(point)

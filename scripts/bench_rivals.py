@@ -39,7 +39,7 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.plan_times import lengthened
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, AUTO, ReducedModelSection
+from sphrom.case.sections import ALL, AUTO, PointModelSection
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.models.points.fast_model import FastModel, FastRun
@@ -259,7 +259,7 @@ class Prediction:
 
 def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
     """Return the predictions of a model of the program, with the keys of a case."""
-    section = ReducedModelSection(name="x", evaluation="operators", n_modes=n_modes, **keys)
+    section = PointModelSection(name="x", evaluation="operators", n_modes=n_modes, **keys)
     began = time.perf_counter()
     fast = FastModel(study.workspace, section)
     for point in study.case.plan.test_points:
@@ -313,7 +313,7 @@ def rivals(study: Study, python: Path, training: Array, n_modes: int) -> Iterato
     if tested[0].factors:
         return  # they are given one parameter
     fast = FastModel(
-        study.workspace, ReducedModelSection(name="x", evaluation="operators", n_modes=n_modes)
+        study.workspace, PointModelSection(name="x", evaluation="operators", n_modes=n_modes)
     )
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "given.npz", Path(folder) / "found.npz"

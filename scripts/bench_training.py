@@ -28,7 +28,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, fast_section, trained_at
 from sphrom.console import SilentReporter
 from sphrom.setup.context import StageContext
-from sphrom.train.train import StageModel, make
+from sphrom.store.variants import Variant
+from sphrom.train.surrogate import StageModel, make_full_runs
 
 VELOCITY = 0
 BUDGET = 9
@@ -105,10 +106,8 @@ class Bench:
         """Make the full runs that are not there."""
         corners = self.region.starts(())
         every = tuple(dict.fromkeys((*corners, *points)))
-        context = self.context.__class__(
-            **{**vars(self.context), "case": trained_at(self.case, every), "keep_valid": True}
-        )
-        if failed := make(context, points, 1, None):
+        variant = Variant(self.context, trained_at(self.case, every))
+        if failed := make_full_runs(variant, points, 1, None):
             raise SystemExit(f"{self.name}: unstable full runs: {failed}")
 
     def _grid(
@@ -130,11 +129,9 @@ class Bench:
         """Return the true errors of velocity [%] of a model of some full runs, on the grid."""
         key = tuple(points)
         if key not in self._known:
-            scratch = self.folder / "scratch"
-            scratch.mkdir(exist_ok=True)
             model = fast_section(self.case, self.case.training.model)
             assert model is not None
-            stage = StageModel(self.context, model, points, scratch)
+            stage = StageModel(self.context, model, points)
             found = [stage.compared(p)[0][VELOCITY] for p in self.dense if p not in key]
             self._known[key] = np.array(found)
         return self._known[key]

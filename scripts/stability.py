@@ -32,7 +32,7 @@ from scipy.integrate import solve_ivp
 
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.loader import load_case
-from sphrom.case.points import REYNOLDS
+from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.studies import at_resolution
 from sphrom.console import Reporter
 from sphrom.errors import UnstableError
@@ -41,12 +41,13 @@ from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.models.stable_ranges import FILE, StableRange
 from sphrom.models.starts import scene_start
 from sphrom.plots.panels import save
-from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.reduction.reference_model import Integrator
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.workspace import Workspace
-from sphrom.trade.extremes import FULL_MODEL, Maps
+from sphrom.trade.candidates import FULL_MODEL
+from sphrom.trade.extremes import Maps
 from sphrom.trade.stability import COLOURS, ExtremeRun, draw_maps, publish
 
 CASES, FIGURES = (Path(__file__).parents[1] / name for name in ("cases", "docs/figures"))
@@ -113,10 +114,10 @@ class Checked(Maps):
         self.checks: list[dict[str, Any]] = []
 
     def integrated(
-        self, found: ExtremeRun, model: FastModel, reduced: ReferenceModel, integrator: Integrator
+        self, found: ExtremeRun, model: FastModel, point: ParameterPoint, integrator: Integrator
     ) -> FastRun:
         """Run a fast model, and some of them by scipy, too."""
-        run = super().integrated(found, model, reduced, integrator)
+        run = super().integrated(found, model, point, integrator)
         key = f"{found.varied} {found.value:g} {found.model}"
         if zlib.crc32(key.encode()) % (2 if found.varied in FULL_MODEL else ONE_IN) == 0:
             about = {"varied": found.varied, "value": found.value, "model": found.model}
@@ -187,7 +188,7 @@ def mapped(name: str, out: Path) -> None:
         subprocess.run([*words, "--threads", "1"], check=True, stdout=subprocess.DEVNULL)
     context = StageContext(load_case(path), folder, False, 1, Reporter())
     maps = Checked(context, False)
-    publish(maps.workspace, list(maps.runs()), maps.default, maps.own_values, maps.notes)
+    publish(Workspace(context), list(maps.runs()), maps.default, maps.own_values, maps.notes)
     text = json.dumps({"seconds": time.perf_counter() - started, "checks": maps.checks}, indent=1)
     (folder / "checks.json").write_text(text, encoding="utf-8")
 

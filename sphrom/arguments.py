@@ -87,7 +87,7 @@ _CHECKS = {name: kind for kind in _KINDS for name in kind[-1].split()}
 def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function that raises CaseError for arguments of wrong kinds."""
     known = signature(function)
-    defaults = {name: each.default for name, each in known.parameters.items()}
+    defaults = {name: parameter.default for name, parameter in known.parameters.items()}
 
     def valid(name: str, value: Any) -> Any:
         if name not in _CHECKS or value is defaults.get(name):
@@ -104,7 +104,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
         bound = known.bind(*args, **kwargs)
         for name, value in bound.arguments.items():
             if name == "options":
-                value = {option: valid(option, each) for option, each in value.items()}
+                value = {option: valid(option, given) for option, given in value.items()}
             bound.arguments[name] = valid(name, value)
         return function(*bound.args, **bound.kwargs)
 

@@ -70,8 +70,9 @@ class Field:
     equation: str = ""
     allowed: tuple[str, ...] = ()
     """The allowed texts of an attribute; if empty, any."""
-    names: Mapping[str, str] | None = None
-    """The texts that may replace `*` in its name, each with the text for `%s` in its meaning."""
+    names: Mapping[str, str | Mapping[str, Any]] | None = None
+    """The texts that may replace `*` in its name, each with the text for `%s` in its meaning, or
+    with the parts of its own declaration."""
     is_mapping: bool = False
     record: type[Record] | None = None
     """The record of a group."""
@@ -94,15 +95,22 @@ def dataset(
     symbol: str = "",
     equation: str = "",
     *,
-    names: Mapping[str, str] | None = None,
-    **place: Any,
+    names: Mapping[str, str | Mapping[str, Any]] | None = None,
+    **others: Any,
 ) -> Any:
     """Declare a dataset with axes such as `snapshot particle`; `names` lists a mapping's keys.
 
-    As in all declarations, `place` may hold a name, `at`, and a `default` or `default_factory`.
+    As in all declarations, `others` may be a name, `at`, and a `default` or `default_factory`.
     """
-    about = {"units": units, "meaning": meaning, "symbol": symbol, "equation": equation}
-    return _declared(place, axes=tuple(axes.split()), names=names, **about)
+    return _declared(
+        others,
+        axes=tuple(axes.split()),
+        names=names,
+        units=units,
+        meaning=meaning,
+        symbol=symbol,
+        equation=equation,
+    )
 
 
 def tensors(
@@ -113,28 +121,34 @@ def tensors(
     *,
     by: str = "",
     symbols: str = "    ",
-    **place: Any,
+    **others: Any,
 ) -> Any:
     """Declare the tensors of a polynomial in the modal coordinates; `by` is a leading axis."""
     axes = " ".join((by, *("mode",) * (degree + 1)))
     names = dict.fromkeys(DEGREES[: degree + 1], "")
-    return dataset(axes, units, meaning, symbols, equation, names=names, **place)
+    return dataset(axes, units, meaning, symbols, equation, names=names, **others)
 
 
-def attribute(units: str, meaning: str, **place: Any) -> Any:
+def attribute(
+    units: str,
+    meaning: str,
+    *,
+    names: Mapping[str, Mapping[str, Any]] | None = None,
+    **others: Any,
+) -> Any:
     """Declare an attribute."""
-    return _declared(place, units=units, meaning=meaning)
+    return _declared(others, units=units, meaning=meaning, names=names)
 
 
-def part(**place: Any) -> Any:
+def part(**others: Any) -> Any:
     """Declare a record within a record; `at=""` stores it in the same group."""
-    return _declared(place)
+    return _declared(others)
 
 
-def _declared(place: dict[str, Any], **declared: Any) -> Any:
+def _declared(others: dict[str, Any], **declared: Any) -> Any:
     """Declare a field; its kind and its default name follow from the class."""
-    metadata = {"at": place.pop("at", None), "declared": declared}
-    return dataclasses.field(metadata=metadata, **place)
+    metadata = {"at": others.pop("at", None), "declared": declared}
+    return dataclasses.field(metadata=metadata, **others)
 
 
 @dataclass_transform(
@@ -154,16 +168,15 @@ class Record:
     @classmethod
     def of(cls, source: object, **others: Any) -> Self:
         """Return a record with values of an object's equally named attributes, and with others."""
-        own = fields_of_record(cls).items()
-        names = {name for name, field in own if field.required or hasattr(source, name)}
+        fields = fields_of_record(cls).items()
+        names = {name for name, field in fields if field.required or hasattr(source, name)}
         return cls(**{name: getattr(source, name) for name in names - others.keys()}, **others)
 
     def mapped(self, change: Callable[[Array], Any]) -> Self:
         """Return the record with `change` applied to all stored arrays, also those of its parts."""
-        stored = fields_of_record(type(self))
-        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
-        changed = {name: _mapped(own[name], change) for name in stored}
-        return type(self)(**own | changed)
+        names = fields_of_record(type(self))
+        changed = {name: _mapped(getattr(self, name), change) for name in names}
+        return replace(self, **changed)  # type: ignore[type-var]
 
 
 def _mapped(value: Any, change: Callable[[Array], Any]) -> Any:
@@ -234,11 +247,11 @@ def fields_of(record: type[Record], group: str = "", optional: bool = False) -> 
                     symbol=field.symbol[degree].strip(), meaning=f"{name} {field.meaning}",
                 )  # fmt: skip
         elif field.names is not None:
-            for name, meaning in field.names.items():
-                meant = field.meaning.replace("%s", meaning)
-                yield replace(
-                    field, name=path.removesuffix("*") + name, meaning=meant, required=required
-                )
+            for name, declared in field.names.items():
+                if isinstance(declared, str):
+                    declared = {"meaning": field.meaning.replace("%s", declared)}
+                named = path.removesuffix("*") + name
+                yield replace(field, name=named, required=required, **declared)
         else:
             yield replace(field, name=path, required=required)
 

@@ -149,12 +149,12 @@ def _warnings_in_lines(report: Reporter) -> Iterator[None]:
     """
     from sphrom.kernels.code_cache import CodeCacheWarning, CompilingWarning
 
-    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *where: Any, **details: Any) -> None:
         if issubclass(category, CodeCacheWarning):
             tell = report.note if issubclass(category, CompilingWarning) else report.warn
             tell(str(message))
         elif not issubclass(category, RuntimeWarning):
-            before(message, category, *place, **more)
+            before(message, category, *where, **details)
 
     with warnings.catch_warnings():
         before = warnings.showwarning

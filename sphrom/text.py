@@ -86,7 +86,7 @@ def table_rows(text: str) -> list[tuple[int, list[str]]]:
         for number, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    separator = next((each for each in ";\t" if lines and each in lines[0][1]), ",")
+    separator = next((mark for mark in ";\t" if lines and mark in lines[0][1]), ",")
     rows: list[tuple[int, list[str]]] = []
     marks: dict[str, int] = {}  # the last lines with decimal points and commas
     for number, line in lines:

@@ -338,8 +338,9 @@ def rates_at_points(points, q, u, gradients, conditions, order=None) -> Array:
         acceleration = push + head + own
     else:
         acceleration = (push + head) * (1.0 - share) + more + own
-    if terms.slowing is not None:
-        acceleration += terms.slowing[..., 0]
+    if points.slowing_rate is not None:
+        slowed = points.slowing_rate * u
+        acceleration -= slowed + points.head_push(slowed)
     carried = np.einsum("dn,fdn->fn", u, gradients)
     return np.concatenate((continuity[None], acceleration)) - carried
 

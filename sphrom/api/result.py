@@ -13,7 +13,8 @@ from sphrom.arguments import finite_array
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import AXES, PLACED, UNITS, VECTORS, Quantities, Samples, since
+from sphrom.metrics.measures import Quantities, Samples, since
+from sphrom.metrics.quantities import AXES, MEASURABLE, PLACED, is_vector
 from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.models.contract import ModelRun
 from sphrom.models.points.error_estimates import ErrorEstimate
@@ -45,7 +46,7 @@ class Labels:
     def __init__(self, case: Case) -> None:
         self.case = case
         fields = case.scene.measured_fields.items()
-        self._lines = {name: f" {name}_place" for name, m in fields if m.line is not None}
+        self._lines = {name: f" {name}_place" for name, m in fields if not m.quantities}
         self._known: dict[bytes, xarray.Coordinates] = {}
 
     def dataset(
@@ -60,12 +61,13 @@ class Labels:
             line = self._lines.get(own, "")
             of = f"{own}{', estimated error' * (own != name)}"
             for quantity, values in quantities.items():
-                is_vector = quantity in VECTORS
+                vector = is_vector(quantity)
                 if quantity in PLACED and not line:  # a probe has one place
-                    values = np.squeeze(values, axis=-1 - is_vector)
-                dims, meaning = f"{axes}{line}{' component' * is_vector}", f"{quantity} of {of}"
-                unit = UNITS.get(quantity)
-                if unit is None:  # an oscillation has one figure per run
+                    values = np.squeeze(values, axis=-1 - vector)
+                dims, meaning = f"{axes}{line}{' component' * vector}", f"{quantity} of {of}"
+                if quantity in MEASURABLE:
+                    unit = MEASURABLE[quantity].unit
+                else:  # an oscillation has one figure per run
                     dims = axes.removesuffix("snapshot")
                     values = values[..., 0]
                     unit = self.case.plan.oscillations[own].units_of(quantity)
@@ -74,7 +76,7 @@ class Labels:
         if (key := time.tobytes()) not in self._known:
             coordinates = axes_of(time)
             for name, measure in field_measures(self.case).items():
-                if measure.normal is None:
+                if not measure.is_integral:
                     dims = f"{self._lines.get(name, '')} component"
                     where = measure.position if name in self._lines else measure.position[0]
                     where = labelled(dims, where, "m", f"position of {name}")
@@ -85,7 +87,7 @@ class Labels:
     def _notes(self, name: str, quantity: str, values: Array) -> dict[str, Any]:
         """Return attributes: the first time that counts [s], and why an oscillation is NaN."""
         plan = self.case.plan
-        missing = quantity not in UNITS and bool(np.isnan(values).any())
+        missing = quantity not in MEASURABLE and bool(np.isnan(values).any())
         of = plan.oscillations.get(name)
         begin = plan.means_from.get(name, plan.settled_from) if of is None else of.from_time
         return {"from_time": begin} | ({"missing": NO_OSCILLATION} if missing else {})

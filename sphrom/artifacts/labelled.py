@@ -20,7 +20,7 @@ from sphrom.artifacts.reader import Artifact, open_artifact
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import AXES
+from sphrom.metrics.quantities import AXES
 
 _MEASURED = re.compile("((?:error_estimate|steady)/)?(measure|force)/([^/]+)/([^/]+)")
 """The path of a measured quantity: a prefix, the kind, the measurement and the quantity."""
@@ -49,8 +49,8 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
         for wall in {name.split("/")[1] for name in fields if name.startswith("force/")}:
             for load in ("force", "torque"):
                 one, other = (variables[f"{wall}_{p}_{load}"] for p in ("pressure", "viscous"))
-                variables[f"{wall}_{load}"] = whole = one + other
-                whole.attrs = {"units": one.attrs["units"], "long_name": f"{load} on the wall"}
+                variables[f"{wall}_{load}"] = total = one + other
+                total.attrs = {"units": one.attrs["units"], "long_name": f"{load} on the wall"}
         others = tuple(f"{other}/" for other in (*groups, "lineage") if other != group)
         attributes: dict[str, Any] = {
             _short(name, group): value

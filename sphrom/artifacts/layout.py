@@ -91,10 +91,10 @@ def content_digest(
 ) -> str:
     """Return the digest of attributes (by path) and datasets (their `dataset_line`s by name)."""
     provenance = (*PROVENANCE, TIMING, Field("lineage/*/*", "text"))
-    own = {
-        name: value for name, value in attributes.items() if find_field(provenance, name) is None
-    }
-    lines = [schema, *(f"{name} = {_canonical(value)}" for name, value in sorted(own.items()))]
+    lines = [schema]
+    for name, value in sorted(attributes.items()):
+        if find_field(provenance, name) is None:
+            lines.append(f"{name} = {_canonical(value)}")
     lines += [f"{name}: {line}" for name, line in sorted(datasets.items())]
     return text_digest("\n".join(lines))
 

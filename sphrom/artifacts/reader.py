@@ -267,9 +267,9 @@ def _looked_through(file: h5py.File) -> Contents:
     if version.partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
         raise Fault(f"has schema version {version!r}; this program reads {SCHEMA_VERSION}")
     contents = inspect(file)
-    for own in PROVENANCE:  # not covered by a digest
-        if own.name not in contents.attributes:
-            raise Fault(f"is damaged: attribute {own.name} is missing")
+    for attribute in PROVENANCE:  # not covered by a digest
+        if attribute.name not in contents.attributes:
+            raise Fault(f"is damaged: attribute {attribute.name} is missing")
     with damage("the case"):
         contents.case_text = plain_text(file[CASE][()])
     if contents.digests.pop(CASE, "") != layout.text_digest(contents.case_text):
@@ -319,13 +319,13 @@ def case_differences(made_with: str, asked: str, sections: Collection[str]) -> s
         (key for key in here | there if here.get(key) != there.get(key)),
         key=lambda key: key not in here or key not in there,
     )
-    differences = (
-        (key, *(shortened(case.get(key, "absent"), MOST_CHARACTERS) for case in (there, here)))
-        for key in keys[:SHOWN_KEYS]
-    )
-    return "; ".join(
-        f"{shortened(key)} is {one} there, {other} here" for key, one, other in differences
-    )
+    differences = []
+    for key in keys[:SHOWN_KEYS]:
+        made, wanted = (
+            shortened(case.get(key, "absent"), MOST_CHARACTERS) for case in (there, here)
+        )
+        differences.append(f"{shortened(key)} is {made} there, {wanted} here")
+    return "; ".join(differences)
 
 
 def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
@@ -347,12 +347,12 @@ def read_record(artifact: Artifact, record: type[R], group: str = "", **others: 
     Raises ArtifactError if it is damaged, or lacks a field because an older version wrote it.
     """
     values: dict[str, Any] = {}
-    there = (*artifact.datasets, *artifact.attributes)
+    paths = [f"{path}/" for path in (*artifact.datasets, *artifact.attributes)]
     for name, stored in fields_of_record(record).items():
         path = joined(group, stored.name)
         if stored.is_mapping:
             values[name] = _mapping(artifact, record, stored, path)
-        elif stored.required or any(f"{each}/".startswith(f"{path}/") for each in there):
+        elif stored.required or any(stored_path.startswith(f"{path}/") for stored_path in paths):
             values[name] = _read(artifact, stored, path)
     return record(**values, **others)
 
@@ -378,13 +378,15 @@ def _stored(artifact: Artifact, path: str) -> Any:
 
 def _mapping(artifact: Artifact, record: type[Record], field: Field, path: str) -> dict[str, Any]:
     """Read the items of a mapping, except those that are other fields of the record."""
-    depth = path.count("/") + 1
     names = artifact.datasets if field.axes or field.record else artifact.attributes
+    if field.names is not None:
+        begin = path.removesuffix("*")
+        existing = [name for name in field.names if begin + name in names]
+        return {name: _read(artifact, field, begin + name) for name in existing}
+    depth = path.count("/") + 1
     heads = {"/".join(name.split("/")[:depth]) for name in names}
     parent = path.rpartition("/")[0]
     heads -= {joined(parent, other.name) for other in fields_of_record(record).values()} - {path}
-    if field.names is not None:
-        heads &= {path.removesuffix("*") + name for name in field.names}
     items = {}
     for head in sorted(head for head in heads if matches(path, head)):
         pairs = zip(path.split("/"), head.split("/"), strict=True)

@@ -88,6 +88,7 @@ class ArtifactWriter:
     def __init__(self, path: Path, file: TemporaryFile, schema: str) -> None:
         self._path = path
         self._file = file
+        self._guard = _Guard(path, file)
         self._schema = SCHEMAS[schema]
         self._started = time.monotonic()
         self._computing = computing_seconds()
@@ -127,7 +128,7 @@ class ArtifactWriter:
         if len(shape) != len(field.axes):
             raise ValueError(f"{name} has the axes {field.axes}, not the shape {shape}")
         chunks = chunk_shape(field, shape)
-        with self._guarded():
+        with self._guard:
             dataset = self._hdf5.create_dataset(
                 name, shape, field.kind, maxshape=shape, chunks=chunks, fletcher32=bool(chunks)
             )
@@ -147,7 +148,7 @@ class ArtifactWriter:
     def _begin(self, case_text: str, provenance: Mapping[str, layout.Value]) -> None:
         for name, value in provenance.items():
             self._set(name, value)
-        with self._guarded():
+        with self._guard:
             case = self._hdf5.create_dataset("case", data=fixed_text(case_text))
             case.attrs["sha256"] = fixed_text(layout.text_digest(case_text))
 
@@ -165,7 +166,7 @@ class ArtifactWriter:
         for field in (*self._schema.datasets, *self._schema.attributes):
             if field.required and "*" not in field.name and field.name not in there:
                 raise ValueError(f"{self._path}: {field.name} is missing")
-        with self._guarded():
+        with self._guard:
             shapes = {name: stream.shape for name, stream in self._streams.items()}
             add_view(self._hdf5, self._schema.name, shapes)
             self._hdf5.flush()
@@ -173,12 +174,9 @@ class ArtifactWriter:
     def _set(self, name: str, value: layout.Value) -> None:
         group, _, key = name.rpartition("/")
         stored = fixed_text(value) if isinstance(value, str) else value
-        with self._guarded():
+        with self._guard:
             self._hdf5.require_group(group or "/").attrs[key] = stored
         self._attributes[name] = value
-
-    def _guarded(self) -> _Guard:
-        return _Guard(self._path, self._file)
 
 
 class Stream:
@@ -220,7 +218,7 @@ class Stream:
                 f"{', '.join(where)}; the computation went wrong before this"
             )
         contiguous = np.ascontiguousarray(items)
-        with self._writer._guarded():
+        with self._writer._guard:
             self._dataset[self.written : end] = contiguous
         self._digest.update(contiguous.data)
         self.written = end
@@ -231,7 +229,7 @@ class Stream:
         """Drop the items that were never written."""
         if self.written < self.shape[0]:
             self.shape = (self.written, *self.shape[1:])
-            with self._writer._guarded():
+            with self._writer._guard:
                 self._dataset.resize(self.shape)
 
     def seal(self) -> str:
@@ -246,7 +244,7 @@ class Stream:
         if self.written != self.shape[0]:
             raise ValueError(f"{self._name} has {self.written} of {self.shape[0]} items")
         digest = self._digest.hexdigest()
-        with self._writer._guarded():
+        with self._writer._guard:
             self._dataset.attrs["sha256"] = fixed_text(digest)
             self._dataset = None
         self._line = layout.dataset_line(np.dtype(self.field.kind), self.shape, digest)

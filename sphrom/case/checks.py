@@ -14,15 +14,13 @@ import numpy as np
 import shapely
 from shapely.affinity import translate
 
-from sphrom.arrays import Array
 from sphrom.case import studies
 from sphrom.case.custom_sections import SurfaceForce
-from sphrom.case.fields import only_one
+from sphrom.case.measure_sections import MEASURES, FrequencyMeasure
 from sphrom.case.models import Case
 from sphrom.case.plan import LEAST_SNAPSHOTS
 from sphrom.case.plan_times import MAX_STEPS, STEPS_PER_PERIOD, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, nearest_point
-from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.case.yaml_reader import Problem
@@ -35,22 +33,6 @@ from sphrom.text import exact, nearest, repeated
 
 Found = Iterator[tuple[str, str]]
 
-WITHIN_WALL = 0.1
-"""Tolerated depth of a place in a solid, over the particle spacing, as circles are polygons."""
-PER_SPACING = 4
-"""Places to check along a segment, per particle spacing."""
-MOST_LOOKED_AT = 100_000
-SURFACE_KEYS: Mapping[str, tuple[object, ...]] = {
-    "evaluation": ("operators",),
-    "projection": ("galerkin",),
-    "time_step": (AUTO,),
-    "calibrated": (AUTO, True, False),
-    "corrected": (AUTO, False),
-    "integrated_modes": (AUTO,),
-    "output": ("none",),
-    "steady": (False,),
-}
-"""The values of keys that reduced models of a free surface may have."""
 MOST_REFINED = 4
 """Largest factor of the resolution that is a remedy for a narrow place."""
 COARSEST = 8
@@ -144,8 +126,9 @@ def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], 
             names = list(dict.fromkeys(name for row in figure.runs for name in row))
             yield f"compare.figures.{i}.runs", "run", names, known
     for name, measured in case.scene.measure.items():
-        if (section := measured.frequency) is not None:
-            yield f"scene.measure.{name}.frequency.of", "history", [section.of], case.scene.columns
+        if isinstance(measured, FrequencyMeasure):
+            of = measured.frequency.of
+            yield f"scene.measure.{name}.frequency.of", "history", [of], case.scene.columns
     yield "trade.measure", "quantity of scene.measure", [case.trade.measure], case.scene.measure
     yield "sweep.model", "model", [case.sweep.model], [FULL, *models]
     yield "sweep", varied, case.sweep.names, varying
@@ -362,67 +345,8 @@ def _check_scene(case: Case) -> Found:
     for name, reason in case.plan.problems_until(case.time.final_time):
         yield f"scene.{name}", reason
     for name, measured in case.scene.measure.items():
-        kind = only_one(measured, KINDS)
-        if (problem := _measure_problem(case, measured)) is not None:
-            yield f"scene.measure.{name}.{kind}", problem
-
-
-def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
-    section = measured.frequency or measured
-    if (since := section.from_time) is not None and since >= case.time.final_time:
-        end = exact(case.time.final_time)
-        return f"from_time must be before time.final_time, {end} s; got {exact(since)}"
-    if measured.frequency is not None:
-        return None
-    if measured.force_on is not None:
-        names = case.scene.domain.wall_names
-        missing = f"there is no such wall; the walls are {', '.join(names) or 'none'}"
-        if measured.force_on in getattr(case.scene, "porous", ()):
-            missing = "is a porous body, which has no wall to measure a force on"
-        return None if measured.force_on in names else missing
-    if measured.probe is not None:
-        return outside_fluid(case, np.array([measured.probe]))
-    if measured.of_surface:
-        return _surface_problem(case, measured)
-    assert measured.segment is not None
-    start, end = np.array(measured.segment)
-    length = math.dist(start, end)
-    if not length > 0.0:
-        return "its ends are the same place"
-    number = min(2 + math.ceil(PER_SPACING * length / case.plan.particle_spacing), MOST_LOOKED_AT)
-    return outside_fluid(case, start + np.linspace(0.0, 1.0, number)[:, None] * (end - start))
-
-
-def _surface_problem(case: Case, measured: MeasureSection) -> str | None:
-    scene = case.scene
-    periodic = case.scene.domain.periodic
-    if not scene.has_surface:
-        return "needs fluid with a free surface; set scene.fluid"
-    if measured.of_fluid == "centre_of_mass" and any(periodic):
-        return "fluid in a periodic box has no centre of mass; take of_fluid: energy"
-    if measured.elevation is None:
-        return None
-    if periodic[1]:
-        return "needs a floor; leave y out of box.periodic"
-    levels = [scene.level_at(dict(point.others)) for point in case.plan.points]
-    y = min((*levels, scene.domain.upper[1]))
-    return outside_fluid(case, np.array([[measured.elevation, y]]))
-
-
-def outside_fluid(case: Case, place: Array) -> str | None:
-    """Return a problem if one of some places (n_places, 2) is out of the box or in a solid."""
-    domain = case.scene.domain
-    beyond = (place < np.array(domain.lower)) | (place > np.array(domain.upper))
-    for x, y in place[beyond.any(axis=1)][:1]:
-        return f"({x:g}, {y:g}) m is outside of the box"
-    in_solid = domain.distance_and_normal(place)[0] < -WITHIN_WALL * case.plan.particle_spacing
-    for x, y in place[in_solid][:1]:
-        turns = np.flatnonzero(np.diff(~in_solid, prepend=False, append=False)).reshape(-1, 2)
-        ends = place[turns - (0, 1)].reshape(-1, 4).tolist()
-        fluid = " and ".join("from ({:g}, {:g}) to ({:g}, {:g}) m".format(*each) for each in ends)
-        more = f"; give a segment for each part of the fluid, {fluid}" if fluid else ""
-        return f"({x:g}, {y:g}) m is in a solid{more}"
-    return None
+        if (problem := measured.time_problem(case) or measured.problem(case)) is not None:
+            yield f"scene.measure.{name}.{MEASURES.kind_of(measured)}", problem
 
 
 def _check_bases(case: Case) -> Found:
@@ -546,11 +470,6 @@ def _check_surface(case: Case) -> Found:
         yield "training", f"needs estimates of errors, which {reason} don't have; leave it out"
     if case.sweep.sensitivities:
         yield "sweep.sensitivities", f"{plain} {reason}; set false"
-    for i, model in enumerate(case.rom):
-        for key, usual in SURFACE_KEYS.items():
-            if (value := getattr(model, key)) not in usual:
-                needed = " or ".join(map(_yaml, usual))
-                yield f"rom.{i}.{key}", f"must be {needed} for {reason}; got {_yaml(value)}"
 
 
 def _start_problem(case: Case, point: ParameterPoint) -> str | None:

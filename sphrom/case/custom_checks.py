@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -10,20 +10,19 @@ import numpy as np
 import shapely
 
 from sphrom.arrays import Array
-from sphrom.case.custom_sections import SurfaceForce
+from sphrom.case.custom_sections import ShapedFluid, SurfaceForce
 from sphrom.case.driving import (
     BODY_FORCE,
     INFLOW,
     KEYS,
     N_CHECKED,
     Driving,
-    finite_peak,
     largest_norm,
     require_finite,
 )
-from sphrom.case.expressions import MOST_QUOTED
 from sphrom.metrics.series import pole_of
-from sphrom.sph.fluid import Fluid, Resistance
+from sphrom.scenes.expressions import MOST_QUOTED
+from sphrom.sph.fluid import Fluid
 from sphrom.sph.places import N_SAMPLES, TOUCHING
 from sphrom.text import shortened
 
@@ -73,25 +72,20 @@ def check_walls(driving: Driving) -> None:
 def check_surface(driving: Driving) -> None:
     """Raise ValueError unless the fluid with a free surface is in the box, if there is one."""
     scene = driving.scene
-    force = driving.force
     level = driving.level
-    if scene.fluid is None or force is None:
+    if scene.fluid is None:
         return
     low, high = scene.domain.lower[1], scene.domain.upper[1]
-    if scene.fluid.level is None:
+    if isinstance(scene.fluid, ShapedFluid):
         if not scene.domain.fluid.buffer(TOUCHING).contains(scene.fluid.geometry()):
             raise ValueError("fluid: must lie within the box and outside of solids")
     elif not low < level < high:
         raise ValueError(f"fluid.level: must be above {low:g} and below {high:g}; got {level:g}")
-    places = scene.places
-    require_finite("body_force", force(places.all.T, 0.0).T, places.all)
-    if not driving.values:  # for all values the same peaks
-        finite_peak("body_force", places, lambda at: np.abs(force(at, 0.0)).sum(axis=0))
 
 
-def parameter_problems(driving: Driving, names: Collection[str]) -> Found:
+def parameter_problems(scene: CustomScene, names: Collection[str]) -> Found:
     """Yield constants in which walls or the force aren't affine, and ambiguous names."""
-    scene = driving.scene
+    driving = scene.at()
     varied = [name for name in names if name in scene.constants]
     slowed = driving.expression("resistance", scene.resistance, "x", "y")
     for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
@@ -120,31 +114,29 @@ def parameter_problems(driving: Driving, names: Collection[str]) -> Found:
             yield used[0], reason
 
 
-def unknown_times(driving: Driving, final_time: float) -> Found:
+def unknown_times(scene: CustomScene, final_time: float) -> Found:
     """Yield the first key whose history doesn't contain all times of runs [s]."""
     times = np.linspace(0.0, final_time, N_CHECKED)
-    for key, expression in driving.timed():
+    for key, expression in scene.at().timed():
         for name, time in expression.read():
-            if (problem := driving.scene.histories[name].lacks(time(t=times))) is not None:
+            if (problem := scene.histories[name].lacks(time(t=times))) is not None:
                 yield key, f"{name}: {problem}"
                 return
 
 
-def problems(
-    scene: CustomScene, drivings: Iterable[Driving], final_time: float, fluid: Fluid
-) -> Found:
+def problems(scene: CustomScene, final_time: float, fluid: Fluid) -> Found:
     """Refuse a driving that isn't finite at all times, and an inflow that ramps too long.
 
     Also speeds near that of sound, and an initial velocity through a wall. Of several values of
     the parameters, the first with a problem is refused. Driving can't be evaluated at times that
     a history does not contain.
     """
-    if found := list(unknown_times(scene.at(), final_time)):
+    if found := list(unknown_times(scene, final_time)):
         yield from found
         return
     if scene.ramp >= final_time:
         yield "inflow.ramp", f"takes {scene.ramp:g} s, until time.final_time or longer"
-    for driving in drivings:
+    for driving in scene.checked_drivings:
         if found := list(_problems_at(driving, final_time, fluid)):
             yield found[0]
             return
@@ -180,11 +172,10 @@ def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
         )
 
 
-def unresolved(
-    driving: Driving, resistance: Resistance | None, particle_spacing: float
-) -> Iterator[str]:
+def unresolved(scene: CustomScene, particle_spacing: float) -> Iterator[str]:
     """Yield the keys of fields that change within a spacing [m], so that particles miss it."""
-    scene = driving.scene
+    driving = scene.at()
+    resistance = scene.slowing.resistance
     place = scene.places.scattered
     place = place[place[:, 1] <= driving.level]
     fields: dict[str, Callable[[Array], Array]] = {d.key: d for d in driving.pushes.values()}

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import PrivateAttr, model_validator
@@ -20,9 +20,9 @@ from sphrom.arrays import Array
 from sphrom.case import custom_checks
 from sphrom.case.custom_sections import (
     InflowSection,
-    PorousSection,
+    Porous,
     Rate,
-    SurfaceFluidSection,
+    SurfaceFluid,
     Value,
     Vector,
 )
@@ -32,17 +32,18 @@ from sphrom.case.driving import (
     Driving,
     at_places,
 )
-from sphrom.case.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.measure_sections import MEASURE, Measures
 from sphrom.case.points import REYNOLDS
-from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection, Settings
-from sphrom.case.shapes import ShapeSection
+from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection, Settings
+from sphrom.case.shapes import Shape, ShapeSection
 from sphrom.case.slowing import Slowing
 from sphrom.case.tables import HistorySection, InitialSection
+from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import NONE, Fluid, Strip
+from sphrom.sph.fluid import NONE, Strip
 from sphrom.sph.places import Places
 from sphrom.sph.polygons import connects_images
 
@@ -99,7 +100,7 @@ class CustomScene(SceneSection):
 
     kind: Literal["custom"] = key(..., "kind of flow")
     box: BoxSection = key(BoxSection(), "the box that contains the flow")
-    solids: dict[SafeName, ShapeSection] = key({}, "solids in the box, by name")
+    solids: dict[SafeName, Shape] = key({}, "solids in the box, by name")
     walls: dict[SafeName, MovingWallSection] = key(
         {}, "moving walls: sides of the box (left, right, bottom, top) and solids, by name"
     )
@@ -110,14 +111,14 @@ class CustomScene(SceneSection):
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
-    fluid: SurfaceFluidSection | None = key(
+    fluid: SurfaceFluid | None = key(
         None, "the part of the box that fluid with a free surface fills; null fills all of it"
     )
     slip: Literal["none", "free"] = key("none", "whether fluid sticks to the walls or slips freely")
     resistance: Rate = key(
         0.0, "rate of resistance to the flow, a number or an expression in x, y", unit="1/s"
     )
-    porous: dict[SafeName, PorousSection] = key({}, "porous bodies in the box, by name")
+    porous: dict[SafeName, Porous] = key({}, "porous bodies in the box, by name")
     inflow: InflowSection | None = key(None, "inflow of an open box")
     initial: InitialSection = key(InitialSection(), "initial fields of runs")
     reference_length: Positive | None = key(
@@ -188,15 +189,15 @@ class CustomScene(SceneSection):
         upper = self.box.upper
         if not all(low < high for low, high in zip(lower, upper, strict=True)):
             raise ValueError("box: upper must be above lower along both axes")
-        corners = (lower[0], lower[1]), (upper[0], upper[1])
         periodic = ("x" in self.box.periodic, "y" in self.box.periodic)
+        box: dict[str, Any] = {"lower": lower, "upper": upper, "periodic": periodic}
         if not self.solids:
-            return BoxDomain(*corners, periodic, level=self._row_end)
+            return BoxDomain(**box, level=self._row_end)
         # Imported late, because it loads kernels that other scenes do not need.
         from sphrom.sph.polygon_domain import PolygonDomain
 
         try:
-            return PolygonDomain(*corners, periodic, tuple(self.shapes.items()))
+            return PolygonDomain(**box, solids=tuple(self.shapes.items()))
         except ValueError as error:
             hints = (f"; {where} {hint}" for where, hint in custom_checks.odd_units(self))
             raise ValueError(f"{error}{''.join(hints)}") from error
@@ -260,9 +261,6 @@ class CustomScene(SceneSection):
             if difference.depends_on and "t" not in difference.depends_on:
                 yield self.places.beside(partial(at_places, difference))
 
-    def unresolved(self, particle_spacing: float) -> Iterator[str]:
-        return custom_checks.unresolved(self.at(), self._slowing.resistance, particle_spacing)
-
     def flow(self, scales: Scales) -> Scene:
         here = self.at(scales.values)
         return CustomFlow(
@@ -270,7 +268,7 @@ class CustomScene(SceneSection):
             {name: here.wall_velocity(name) for name in self.walls},
             here.begin(scales.density),
             here.force,
-            self._slowing.resistance,
+            self.slowing.resistance,
             here.wall_amplitudes,
         )
 
@@ -282,8 +280,8 @@ class CustomScene(SceneSection):
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and the body force."""
         rates = ((name, wall.rotation) for name, wall in self.walls.items())
-        own = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
-        return {**self.constants, **own, **dict.fromkeys(self.at().factors, 1.0)}
+        factors = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
+        return {**self.constants, **factors, **dict.fromkeys(self.at().factors, 1.0)}
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
         fields = [part for drive in self.at().drives for part in drive.fields]
@@ -313,29 +311,28 @@ class CustomScene(SceneSection):
         timed = [expression for _, expression in self.at().timed()]
         used = [n for n in self.constants if any(one.degree_in([n]) > 0.0 for one in timed)]
         chosen = {tuple(v.get(name, self.constants[name]) for name in used) for v in settings}
-        few = sorted(chosen)[:: math.ceil(len(chosen) / MOST_SETTINGS)]
-        return min(self.at(dict(zip(used, v, strict=True))).shortest_period for v in few)
+        some_values = sorted(chosen)[:: math.ceil(len(chosen) / MOST_SETTINGS)]
+        return min(self.at(dict(zip(used, v, strict=True))).shortest_period for v in some_values)
 
     # Checks
 
     def check_at(self, values: Mapping[str, float]) -> None:
         here = self.at(values)
         custom_checks.check_walls(here)
-        _ = here.force, here.initial, self._slowing.resistance
+        _ = here.force, here.initial, self.slowing.resistance
         custom_checks.check_surface(here)
 
-    def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
-        return custom_checks.parameter_problems(self.at(), names)
+    @property
+    def checked_drivings(self) -> Iterator[Driving]:
+        """The driving at some values of the parameters in the runs."""
+        settings = self._runs.settings
+        return map(self.at, settings[:: math.ceil(len(settings) / MOST_SETTINGS)])
 
-    def unknown_times(self, final_time: float) -> Iterator[tuple[str, str]]:
-        return custom_checks.unknown_times(self.at(), final_time)
-
-    def problems(self, final_time: float, fluid: Fluid) -> Iterator[tuple[str, str]]:
-        few = self._runs.settings[:: math.ceil(len(self._runs.settings) / MOST_SETTINGS)]
-        return custom_checks.problems(self, map(self.at, few), final_time, fluid)
-
-    def warnings(self) -> Iterator[tuple[str, str]]:
-        return custom_checks.warnings(self)
+    parameter_problems = custom_checks.parameter_problems
+    problems = custom_checks.problems
+    unknown_times = custom_checks.unknown_times
+    unresolved = custom_checks.unresolved
+    warnings = custom_checks.warnings
 
     # The inflow
 
@@ -375,19 +372,20 @@ class CustomScene(SceneSection):
     # The resistance, which does not depend on parameters
 
     @cached_property
-    def _slowing(self) -> Slowing:
+    def slowing(self) -> Slowing:
+        """The resistance to the flow."""
         return Slowing(self, _geometries("porous", self.porous))
 
     def largest_resistance(self, viscosity: float) -> float:
-        return self._slowing.largest(viscosity)
+        return self.slowing.largest(viscosity)
 
     @property
     def porous_way(self) -> float:
-        return self._slowing.way
+        return self.slowing.way
 
     @property
     def porous_widths(self) -> dict[str, float]:
-        return self._slowing.widths
+        return self.slowing.widths
 
 
 def _geometries(where: str, sections: Mapping[str, ShapeSection]) -> dict[str, BaseGeometry]:

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 import shapely
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
-from shapely.geometry.base import BaseGeometry
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from sphrom.arrays import Array
-from sphrom.case.expressions import Expression
 from sphrom.case.fields import (
     LARGEST,
     SMALLEST,
     Coordinate,
     Duration,
-    Place,
+    OneOf,
     Positive,
     Section,
     key,
-    only_one,
 )
-from sphrom.case.shapes import CircleSection, RectangleSection, ShapeSection
+from sphrom.case.shapes import ShapeSection, shapes_with
+from sphrom.scenes.expressions import Expression
 from sphrom.scenes.flows import BodyForce
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Strip
@@ -58,6 +57,9 @@ class PorousSection(ShapeSection):
     """A porous body: fluid flows through its shape against Darcy's resistance nu/k."""
 
     permeability: Positive = key(..., "permeability k", unit="m2")
+
+
+Porous = Annotated[PorousSection, OneOf(**shapes_with(PorousSection))]
 
 
 class StripSection(Section):
@@ -179,33 +181,17 @@ def surface_defaults(slip_along_axes: bool) -> dict[str, Any]:
     }
 
 
-SHAPES = "level", "circle", "rectangle", "polygon"
-"""The keys for the shape of the fluid; a case has exactly one."""
-
-
 class SurfaceFluidSection(Section):
-    """Fluid that fills part of the box, below a level or within a shape."""
+    """Fluid with a free surface, which fills part of the box."""
 
-    level: Value | None = key(
-        None, "height y of the surface at rest, a number or an expression of constants", unit="m"
-    )
-    circle: CircleSection | None = key(None, "a circle that fluid fills")
-    rectangle: RectangleSection | None = key(None, "a rectangle along the axes that fluid fills")
-    polygon: Annotated[tuple[Place, ...], Field(min_length=3)] | None = key(
-        None, "corners of a polygon that fluid fills, in order", unit="m"
-    )
+    model_config = ConfigDict(defer_build=True)
+
+    if TYPE_CHECKING:  # only fluid below a level has the key
+        level: Value | None
+
     gravity: Duration = key(9.81, "acceleration along -y", unit="m/s2")
 
-    @model_validator(mode="after")
-    def _one_kind(self) -> SurfaceFluidSection:
-        only_one(self, SHAPES)
-        return self
-
-    def geometry(self) -> BaseGeometry:
-        """Return the polygon of a shape [m]. Raises ValueError if it is not a polygon."""
-        kind = only_one(self, SHAPES)
-        return ShapeSection.model_validate({kind: getattr(self, kind)}).geometry()
-
+    @abstractmethod
     def fill(self, domain: Domain, particle_spacing: float, level: float) -> Array:
         """Return the points (n_particles, 2) [m] of the domain's lattice in the fluid.
 
@@ -213,17 +199,41 @@ class SurfaceFluidSection(Section):
         ----------
         level : height of the surface at rest [m]; not used for a shape.
         """
+
+
+class LevelFluid(SurfaceFluidSection):
+    """Fluid below a level."""
+
+    level: Value = key(
+        ..., "height y of the surface at rest, a number or an expression of constants", unit="m"
+    )
+
+    def fill(self, domain: Domain, particle_spacing: float, level: float) -> Array:
         points = domain.fill(particle_spacing)
-        if self.level is not None:
-            filled = points[points[:, 1] < level]
-            if domain.fills_box:
-                return filled
-            # Beside solids a lattice may not end at the level, or not along the sides.
-            below = domain.below(level)
-            ends = domain.row_end(level, particle_spacing) == level
-            right = ends and len(filled) == below.n_particles(particle_spacing)
-            return filled if right else below.fill(particle_spacing)
+        filled = points[points[:, 1] < level]
+        if domain.fills_box:
+            return filled
+        # Beside solids a lattice may not end at the level, or not along the sides.
+        below = domain.below(level)
+        ends = domain.row_end(level, particle_spacing) == level
+        right = ends and len(filled) == below.n_particles(particle_spacing)
+        return filled if right else below.fill(particle_spacing)
+
+
+class ShapedFluid(SurfaceFluidSection, ShapeSection):
+    """Fluid within a shape."""
+
+    level: ClassVar[None] = None  # type: ignore[misc]
+
+    def fill(self, domain: Domain, particle_spacing: float, level: float) -> Array:
+        points = domain.fill(particle_spacing)
         return points[shapely.contains_xy(self.geometry(), *points.T)]
+
+
+SurfaceFluid = Annotated[
+    SurfaceFluidSection,
+    OneOf(level=LevelFluid, **shapes_with(ShapedFluid, "circle", "rectangle", "polygon")),
+]
 
 
 @dataclass(frozen=True)

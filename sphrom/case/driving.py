@@ -15,9 +15,9 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.custom_sections import SurfaceForce, ramp_share
-from sphrom.case.expressions import Expression
 from sphrom.case.fields import LARGEST
 from sphrom.metrics.series import shortest_period
+from sphrom.scenes.expressions import Expression
 from sphrom.scenes.flows import Amplitude, BodyForce
 from sphrom.sph.places import N_SAMPLES, Places
 
@@ -69,7 +69,7 @@ class Driving:
         """Return the expression of a key. Raises ValueError, with the key."""
         text = value if isinstance(value, str) else repr(value)
         scene = self.scene
-        constants = {name: self.values.get(name, own) for name, own in scene.constants.items()}
+        constants = {name: self.values.get(name, usual) for name, usual in scene.constants.items()}
         try:
             expression = Expression(text, variables, constants, scene.histories)
             # Except a force beside a surface, expressions in t are split into factors.
@@ -214,7 +214,9 @@ class Driving:
         places = scene.places
         if scene.fluid is not None:
             parts = [self.expression(BODY_FORCE, v, "x", "y", "t") for v in scene.body_force]
-            return SurfaceForce.of(tuple(parts), scene.fluid.gravity)
+            force = SurfaceForce.of(tuple(parts), scene.fluid.gravity)
+            self._require_finite_force(force.field)
+            return force
         strip = scene.strip
         if not pushes:
             return None
@@ -230,15 +232,12 @@ class Driving:
             ]
             return np.sum(fields, axis=0) if len(fields) > 1 else fields[0]
 
-        for name, push in pushes.items():
-            checked = places.all
-            if name == INFLOW and strip is not None:
-                inside = places.particles[strip.contains(places.particles.T)]
-                checked = np.concatenate([scene.strip_samples, inside])
-            require_finite(push.key, push(checked.T).T, checked)
-        force = pushes.get(BODY_FORCE)
-        if force is not None and not self.values:  # for all values the same peaks
-            finite_peak(KEYS[BODY_FORCE], places, lambda at: np.abs(force(at)).sum(axis=0))
+        if strip is not None:
+            inside = places.particles[strip.contains(places.particles.T)]
+            checked = np.concatenate([scene.strip_samples, inside])
+            require_finite(KEYS[INFLOW], pushes[INFLOW](checked.T).T, checked)
+        if BODY_FORCE in pushes:
+            self._require_finite_force(pushes[BODY_FORCE])
         factor = next((self.values.get(name, 1.0) for name in self.factors), 1.0)
 
         def series(times: Array | float) -> Array:
@@ -246,6 +245,12 @@ class Driving:
                 return factor * ramp_share(scene.ramp, times) * amplitude(t=times)
 
         return BodyForce(field, _remembered(series), series, changes=bool(amplitude.depends_on))
+
+    def _require_finite_force(self, field: Callable[[Array], Array]) -> None:
+        places = self.scene.places
+        require_finite(BODY_FORCE, field(places.all.T).T, places.all)
+        if not self.values:  # for all values the same peaks
+            finite_peak(BODY_FORCE, places, lambda at: np.abs(field(at)).sum(axis=0))
 
     # The driving over time
 
@@ -324,7 +329,7 @@ class Driving:
     def _pull(self, force: Array) -> Array:
         """Return the largest magnitudes (2,) of a force's components (2, n_samples) [m/s2]."""
         if math.isfinite(self.level) or not self.scene.domain.fills_box:
-            return np.asarray(np.abs(force).max(axis=1))
+            return np.abs(force).max(axis=1)
         # One-way means along lines: forces to a centre press from both sides.
         ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])

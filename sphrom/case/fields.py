@@ -6,10 +6,18 @@ do not. Their bounds keep all derived quantities finite.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+)
+from pydantic_core import CoreSchema, core_schema
 
 SMALLEST, LARGEST = 1e-12, 1e12
 """Bounds of positive quantities in SI units, so that squares and quotients stay finite."""
@@ -38,10 +46,94 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-def only_one(section: Section, names: Iterable[str]) -> str:
-    """Return the only key of some names that a section has. Raises ValueError unless it is one."""
-    present = [name for name in names if getattr(section, name) is not None]
-    if len(present) != 1:
-        got = " and ".join(present) or "none"
-        raise ValueError(f"must be exactly one of {', '.join(names)}; got {got}")
-    return present[0]
+S = TypeVar("S", bound=Section)
+
+
+class OneOf(Generic[S]):
+    """The annotation of a section of several kinds, each a class with its own keys.
+
+    A union of pydantic's would report the errors of all kinds. Here the keys choose one kind, which
+    validates them, so that errors are about its keys. The JSON schema lists all kinds.
+
+    Parameters
+    ----------
+    kinds : the classes by the key that only sections of this kind have.
+    """
+
+    def __init__(self, **kinds: type[S]) -> None:
+        self.kinds = kinds
+        self._described = set[type[S]]()
+
+    def choose(self, given: Mapping[str, Any], earlier: Mapping[str, Any]) -> type[S]:
+        """Return the kind of given keys; `earlier` are the sections before it in the case.
+
+        Raises ValueError if the keys are those of no kind, or of several.
+        """
+        present = [name for name in self.kinds if given.get(name) is not None]
+        # A shape from a file has the keys `file` and `wkt`.
+        inner = {key for name in present for key in self.kinds[name].model_fields if key != name}
+        chosen = [name for name in present if name not in inner]
+        if len(chosen) != 1:
+            got = " and ".join(chosen) or "none"
+            raise ValueError(f"must be exactly one of {', '.join(self.kinds)}; got {got}")
+        return self.kinds[chosen[0]]
+
+    def refusal(self, name: str, kind: type[S]) -> str:
+        """Return why a kind does not have a key of other kinds."""
+        own = self.kind_of(kind)
+        if name in getattr(kind.model_fields[own].annotation, "model_fields", ()):
+            return f"is {own}.{name} here"
+        having = (one for one, other in self.kinds.items() if name in other.model_fields)
+        return f"is only for {', '.join(having)}, not for {own}"
+
+    def kind_of(self, section: Section | type[S]) -> str:
+        """Return the key that only sections of the kind of a section have."""
+        kind = section if isinstance(section, type) else type(section)
+        return next(name for name, other in self.kinds.items() if other is kind)
+
+    def validated(self, value: Any, info: ValidationInfo) -> S:
+        """Return the section of some keys.
+
+        Keys of other kinds are left out if they are switched off or have their defaults, because
+        earlier versions resolved cases with them. Raises ValueError if they have other values.
+        """
+        if isinstance(value, Section):
+            return value  # type: ignore[return-value]
+        if not isinstance(value, Mapping):
+            return next(iter(self.kinds.values())).model_validate(value)
+        return self.section(value, info.data or {}, info.context)
+
+    def section(
+        self, value: Mapping[str, Any], earlier: Mapping[str, Any], context: Any = None
+    ) -> S:
+        """Return the section of some keys; `earlier` are the sections before it in the case."""
+        kind = self.choose(value, earlier)
+        fields = {
+            name: f for other in self.kinds.values() for name, f in other.model_fields.items()
+        }
+        given = {}
+        for name, one in value.items():
+            if name in kind.model_fields or name not in fields:
+                given[name] = one
+            elif one is not None and one is not False and one != fields[name].default:
+                raise ValueError(f"{name}: {self.refusal(name, kind)}")
+        return kind.model_validate(given, context=context)
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.with_info_plain_validator_function(self.validated)
+
+    def __get_pydantic_json_schema__(self, _: CoreSchema, handler: GetJsonSchemaHandler) -> Any:
+        nodes: list[CoreSchema] = []
+        for kind in self.kinds.values():
+            kind.model_rebuild()
+            node: Any = kind.__pydantic_core_schema__
+            if kind in self._described:  # a shape of shapes refers to its kind
+                inner = node["schema"] if node["type"] == "definitions" else node
+                node = core_schema.definition_reference_schema(inner["ref"])
+            nodes.append(node)
+        added = set(self.kinds.values()) - self._described
+        self._described |= added
+        try:
+            return handler(core_schema.union_schema([*nodes]))
+        finally:
+            self._described -= added

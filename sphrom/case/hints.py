@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from sphrom.case.checks import beyond_limits
+from sphrom.case.custom_sections import ShapedFluid
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.sections import AUTO
@@ -145,7 +146,7 @@ def _of_histories(case: Case) -> Iterator[str]:
 def _of_filling(case: Case) -> Iterator[str]:
     """Warn if the particles of a fluid with a shape have another area than the shape."""
     fluid = getattr(case.scene, "fluid", None)
-    if fluid is None or fluid.level is not None:
+    if not isinstance(fluid, ShapedFluid):
         return
     area = fluid.geometry().area
     filled = case.plan.n_particles * case.plan.particle_spacing**2

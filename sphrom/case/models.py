@@ -22,12 +22,12 @@ from sphrom.case.plan import Plan
 from sphrom.case.points import ParameterSection
 from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of, with_defaults
 from sphrom.case.sections import (
+    AnyModel,
     BasisSection,
     CompareSection,
     DiscretizationSection,
     FluidSection,
     OperatorSection,
-    ReducedModelSection,
     ReferenceSection,
     SnapshotSection,
     SplineSection,
@@ -64,10 +64,11 @@ class Case(Section):
     operators: OperatorSection = key(
         OperatorSection(), "projected operators of models on the reference points"
     )
-    rom: tuple[ReducedModelSection, ...] = key(
-        (ReducedModelSection(name="fast", evaluation="operators"),),
+    rom: tuple[AnyModel, ...] = key(
+        ({"name": "fast", "evaluation": "operators"},),
         f"reduced models to run and compare, at most {MOST_MODELS}",
         max_length=MOST_MODELS,
+        validate_default=True,
     )
     compare: CompareSection = key(
         CompareSection(), "comparison of reduced and full runs (Eq. 4.1-4.3)"

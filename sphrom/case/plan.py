@@ -2,8 +2,8 @@
 
 Each part depends only on those before it: the parameter points (`plan_points`), the particles and
 flows (`plan_flows`), the time steps (`plan_times`), and here the bases and reduced models. A
-quantity is computed at its first use, so checks of a case can use those that do not depend on a
-wrong key.
+quantity is computed at its first use, so checks of a case can use quantities that do not depend on
+a wrong key.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Plan(TimesPlan):
         """Return the name of a reduced model's family; without one, that of the case's stages."""
         if self._scene.has_surface:
             return "surface"
-        return "points" if model is None or model.from_operators else "particles"
+        return "points" if model is None else model.family
 
     def has_error_estimate(self, name: str) -> bool:
         """Return whether the errors of a basis's models on the reference points are estimated."""

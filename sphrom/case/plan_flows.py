@@ -72,8 +72,9 @@ class FlowsPlan(PointsPlan):
     def reference_smoothing_length(self) -> float:
         """h of the map onto the reference space [m]."""
         section = self._case.reference
-        own = self._case.discretization.smoothing_length_ratio
-        usual = MLS_SMOOTHING_LENGTH_RATIO if section.method == "mls" else own
+        usual = MLS_SMOOTHING_LENGTH_RATIO
+        if section.method != "mls":
+            usual = self._case.discretization.smoothing_length_ratio
         return (section.smoothing_length_ratio or usual) * self.particle_spacing
 
     @cached_property

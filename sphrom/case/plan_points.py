@@ -22,7 +22,9 @@ class PointsPlan:
 
     def __init__(self, case: Case) -> None:
         self._case = case
-        self._scene, self._fluid, self._time = case.scene, case.fluid, case.time
+        self._scene = case.scene
+        self._fluid = case.fluid
+        self._time = case.time
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from sphrom.arrays import Array, Mask
+from sphrom.case.measure_sections import ForceMeasure, FrequencyMeasure
 from sphrom.case.plan_flows import FlowsPlan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -135,14 +136,14 @@ class TimesPlan(FlowsPlan):
     @cached_property
     def means_from(self) -> dict[str, float]:
         """The times from which statistics of recorded measurements count [s], by name."""
-        own = {name: each.from_time for name, each in self._scene.recorded.items()}
-        return {name: self.settled_from if t is None else t for name, t in own.items()}
+        asked = {name: measure.from_time for name, measure in self._scene.recorded.items()}
+        return {name: self.settled_from if t is None else t for name, t in asked.items()}
 
     @property
     def times_in_words(self) -> str:
         """The times from which measurements count, in words; empty if all count from the start."""
         late = sorted({t for t in self.means_from.values() if t > 0.0})
-        names = {t: ", ".join(n for n, own in self.means_from.items() if own == t) for t in late}
+        names = {t: ", ".join(n for n, s in self.means_from.items() if s == t) for t in late}
         times = " and ".join(f"from {t:.4g} s on ({names[t]})" for t in late)
         return times and f"means and errors of measurements count {times}"
 
@@ -156,9 +157,9 @@ class TimesPlan(FlowsPlan):
         columns = self._scene.columns
         found = Oscillations()
         for name, measure in self._scene.measure.items():
-            if (section := measure.frequency) is not None:
-                column = columns[section.of]
-                begin = section.from_time
+            if isinstance(measure, FrequencyMeasure):
+                column = columns[measure.frequency.of]
+                begin = measure.since
                 begin = self.means_from[column.measure] if begin is None else begin
                 found[name] = Oscillating(**vars(column), from_time=begin)
         return found
@@ -167,8 +168,8 @@ class TimesPlan(FlowsPlan):
     def coefficients(self) -> dict[str, float]:
         """The ratios of coefficients to forces [m/N], by the names of the measurements."""
         density = self._fluid.reference_density
-        measures = self._scene.measure
-        scales = ((name, each.coefficient) for name, each in measures.items())
+        measures = self._scene.measure.items()
+        scales = ((n, m.coefficient) for n, m in measures if isinstance(m, ForceMeasure))
         return {n: 2.0 / (density * c.speed**2 * c.length) for n, c in scales if c is not None}
 
 

@@ -68,14 +68,11 @@ class ParameterPoint:
 
 def nearest_point(point: ParameterPoint, known: Iterable[ParameterPoint]) -> ParameterPoint:
     """Return the known point nearest to a point, with parameters over their largest values."""
-    rows = {other: other.as_dict().values() for other in known}
-    sizes = [max(map(abs, column)) or 1.0 for column in zip(*rows.values(), strict=True)]
-
-    def distance(other: ParameterPoint) -> float:
-        parts = zip(rows[other], point.as_dict().values(), sizes, strict=True)
-        return math.hypot(*((a - b) / size for a, b, size in parts))
-
-    return min(rows, key=distance)
+    points = list(known)
+    rows = np.array([[*other.as_dict().values()] for other in points])
+    largest = np.abs(rows).max(axis=0)
+    offset = (rows - [*point.as_dict().values()]) / np.where(largest > 0.0, largest, 1.0)
+    return points[int(np.argmin(np.linalg.norm(offset, axis=1)))]
 
 
 def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[str, str]:
@@ -181,7 +178,7 @@ def unit_sample(method: str, count: int, seed: int, n_parameters: int) -> NDArra
     with warnings.catch_warnings():
         # Sequences warn if the count is not a power of two; less balance does no harm here.
         warnings.simplefilter("ignore", UserWarning)
-        return np.asarray(kinds[method](n_parameters, rng=seed).random(count))
+        return kinds[method](n_parameters, rng=seed).random(count)
 
 
 class GivenPoints(Section):
@@ -253,8 +250,8 @@ class TrainValues(GivenPoints):
     def own_reynolds(self) -> float | None:
         """The Reynolds number of all points that name one, or of the list; None if they differ."""
         drawn = self.sample.entries if self.sample is not None else {}
-        named = drawn.get(REYNOLDS) or [each[REYNOLDS] for each in self.points if REYNOLDS in each]
-        found = set(named or self.reynolds)
+        listed = [point[REYNOLDS] for point in self.points if REYNOLDS in point]
+        found = set(drawn.get(REYNOLDS) or listed or self.reynolds)
         return found.pop() if len(found) == 1 else None
 
 

@@ -6,25 +6,22 @@ import math
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
 
 from sphrom.arrays import Array
-from sphrom.case.fields import (
-    Coordinate,
-    Duration,
-    Place,
-    Positive,
-    SafeName,
-    Section,
-    Whole,
-    key,
-    only_one,
+from sphrom.case.fields import Section
+from sphrom.case.measure_sections import (
+    FieldsMeasure,
+    ForceMeasure,
+    Measures,
+    RecordedMeasure,
+    SurfaceMeasure,
 )
-from sphrom.metrics.measures import COEFFICIENT, Column
-from sphrom.scenes.flows import Channel, ReferenceProfile, Scales, Scene
+from sphrom.metrics.quantities import Column
+from sphrom.scenes.flows import Channel, Scales, Scene
+from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE, Fluid, Strip
 
@@ -179,22 +176,22 @@ class SceneSection(Section):
     @property
     def measured_walls(self) -> Mapping[str, str]:
         """The walls with measured forces, by the names of the measurements."""
-        return {name: m.force_on for name, m in self.measure.items() if m.force_on is not None}
+        return {n: m.force_on for n, m in self.measure.items() if isinstance(m, ForceMeasure)}
 
     @property
-    def measured_fields(self) -> Measures:
+    def measured_fields(self) -> dict[str, FieldsMeasure]:
         """The measurements of velocity and pressure: flow rates, probes and lines, by name."""
-        return {n: m for n, m in self.recorded.items() if m.force_on is None and not m.of_surface}
+        return {n: m for n, m in self.measure.items() if isinstance(m, FieldsMeasure)}
 
     @property
-    def measured_surface(self) -> Measures:
+    def measured_surface(self) -> dict[str, SurfaceMeasure]:
         """The measurements that only scenes with a free surface have, by name."""
-        return {name: m for name, m in self.recorded.items() if m.of_surface}
+        return {n: m for n, m in self.measure.items() if isinstance(m, SurfaceMeasure)}
 
     @property
-    def recorded(self) -> Measures:
+    def recorded(self) -> dict[str, RecordedMeasure]:
         """The measurements that runs record: all except frequencies, which follow from others."""
-        return {name: m for name, m in self.measure.items() if m.frequency is None}
+        return {n: m for n, m in self.measure.items() if isinstance(m, RecordedMeasure)}
 
     @property
     def columns(self) -> dict[str, Column]:
@@ -233,118 +230,3 @@ class SceneSection(Section):
     def warnings(self) -> Iterator[tuple[str, str]]:
         """Yield keys of the scene that a user should check, with the reasons."""
         yield from ()
-
-
-class SegmentSection(Section):
-    """A straight segment in the fluid; its ends may be on walls."""
-
-    # `from` is a keyword of Python.
-    model_config = ConfigDict(serialize_by_alias=True)
-
-    start: Place = key(..., "start of the segment", unit="m", alias="from")
-    end: Place = key(..., "end of the segment", unit="m", alias="to")
-
-
-class LineSection(SegmentSection):
-    """Points at equal distances along a segment, including its ends."""
-
-    points: Annotated[Whole, Field(ge=2, le=10_000)] = key(101, "number of points")
-
-
-class FrequencySection(Section):
-    """A history whose oscillation is measured."""
-
-    of: SafeName = key(..., "oscillating history, named as in tables of a sweep: `lift_force_y`")
-    from_time: Duration | None = key(
-        None, "time from which the history counts; null means that of its measurement", unit="s"
-    )
-
-
-class CoefficientSection(Section):
-    """The scales of the coefficient C of a force F = C rho U^2 L / 2 per metre of depth."""
-
-    speed: Positive = key(..., "reference speed U", unit="m/s")
-    length: Positive = key(..., "reference length L", unit="m")
-
-
-KINDS = "force_on", "flow_rate", "probe", "line", "elevation", "of_fluid", "frequency"
-"""The keys for the kind of a measurement; it has exactly one."""
-
-
-class MeasureSection(Section):
-    """One measurement at every snapshot: exactly one kind, and the times that count."""
-
-    force_on: SafeName | None = key(
-        None, "wall: its force, and its torque about its centroid; for a side, the box's centre"
-    )
-    flow_rate: SegmentSection | None = key(
-        None,
-        "segment: the flow rate through it, positive from its left to its right side; a segment "
-        "that goes up counts flow along x as positive",
-    )
-    probe: Place | None = key(None, "point: its velocity and pressure", unit="m")
-    line: LineSection | None = key(None, "segment: velocity and pressure along it")
-    elevation: Coordinate | None = key(
-        None,
-        "x of a vertical line: height y of the free surface of the fluid on the floor, without "
-        "drops above it",
-        unit="m",
-    )
-    of_fluid: Literal["centre_of_mass", "energy"] | None = key(
-        None,
-        "fluid with a free surface: its centre of mass, or its kinetic and potential energy, zero "
-        "at rest (in a shape without level: at the floor)",
-    )
-    frequency: FrequencySection | None = key(
-        None, "history of another measurement: frequency, amplitude and mean of its oscillation"
-    )
-
-    from_time: Duration | None = key(
-        None,
-        "time from which means, errors and other statistics count; null means after the ramp of an "
-        "inflow or after a driving that grows from zero to a constant value, otherwise the start",
-        unit="s",
-    )
-    coefficient: CoefficientSection | None = key(
-        None, "scales of the force's coefficient, which is then measured beside the force"
-    )
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> MeasureSection:
-        kind = only_one(self, KINDS)
-        if self.coefficient is not None and self.force_on is None:
-            raise ValueError(f"coefficient: is only for force_on, not for {kind}")
-        if self.from_time is not None and self.frequency is not None:
-            raise ValueError("from_time: of an oscillation is frequency.from_time")
-        return self
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """The quantities over time, keys of `sphrom.metrics.measures.UNITS`; none for a line."""
-        if self.force_on is not None:
-            return ("force", "torque", *(() if self.coefficient is None else (COEFFICIENT,)))
-        if self.flow_rate is not None:
-            return ("flow_rate",)
-        if self.elevation is not None:
-            return ("elevation",)
-        if self.of_fluid is not None:
-            energies = ("kinetic_energy", "potential_energy")
-            return energies if self.of_fluid == "energy" else (self.of_fluid,)
-        return ("velocity", "pressure") if self.probe is not None else ()
-
-    @property
-    def of_surface(self) -> bool:
-        """Whether it needs a scene with a free surface."""
-        return self.elevation is not None or self.of_fluid is not None
-
-    @property
-    def segment(self) -> tuple[Place, Place] | None:
-        """The ends of the segment [m]; None for measurements without one."""
-        section = self.flow_rate or self.line
-        return None if section is None else (section.start, section.end)
-
-
-Measures = dict[SafeName, MeasureSection]
-"""Measurements by name."""
-MEASURE: Any = key({}, "measurements over time, by name")
-"""The key of a scene for its measurements."""

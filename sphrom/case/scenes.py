@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
-from sphrom.case.scene_section import MEASURE, OF_WALLS, Defaults, Measures, SceneSection
+from sphrom.case.measure_sections import MEASURE, Measures
+from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection
 from sphrom.scenes import flows
-from sphrom.scenes.flows import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
+from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
 from sphrom.sph.fluid import NONE, Fluid
 from sphrom.text import exact
 
@@ -187,7 +188,7 @@ class OpenCavityScene(SceneSection):
         def beside(position: Array) -> NDArray[np.bool_]:
             x, y = position.T
             outside = (x < cavity.lower[0]) | (x > cavity.upper[0])
-            return np.asarray((y > cavity.upper[1]) & outside)
+            return (y > cavity.upper[1]) & outside
 
         return flows.Channel(self._cavity.channel_height, beside)
 

@@ -79,9 +79,20 @@ def node_at(path: Path, kind: str = "") -> Node | None:
     """
     node: Node | None = _root(kind)
     for segment in path:
-        nodes = [] if node is None else list(_children(node, segment))
-        node = {"anyOf": nodes} if len(nodes) > 1 else next(iter(nodes), None)
+        node = None if node is None else _merged(_children(node, segment))
     return node
+
+
+def _merged(nodes: Iterable[Node]) -> Node | None:
+    """Return one node for the key of several kinds of a section, described as in the first."""
+    several = list[Node]()
+    for node in nodes:
+        if node not in several:
+            several.append(node)
+    if len(several) < 2:
+        return next(iter(several), None)
+    shared = {name: several[0][name] for name in ("description", "unit") if name in several[0]}
+    return {"anyOf": several, **shared}
 
 
 def _root(kind: str) -> Node:
@@ -163,10 +174,11 @@ def _allowed_branch(node: Node) -> str:
     if kind == "array":
         least = node.get("minItems", 0)
         most = node.get("maxItems")
-        items = resolve(node["items"])
+        items = list(branches(node["items"]))
         number = f"{least} to {most}" if most else f"{least} or more"
         number = f"{least}" if least == most else number
-        each = "a mapping" if "properties" in items else allowed(items)
+        is_mapping = all("properties" in branch for branch in items)
+        each = "a mapping" if is_mapping else allowed(node["items"])
         return f"a list of {number}, each {each}"
     if kind == "object":
         keys = list(node.get("properties", {}))

@@ -1,24 +1,25 @@
-"""The shapes of solids in a case file, and their polygons.
+"""The kinds of shapes in a case file, one class each: keys, and the polygons that they mean.
 
-A shape is one of circle, rectangle, polygon, file, wkt, union, intersection, difference or buffer.
-It may be scaled about the origin, rotated about its centroid and translated, in this order.
+`SHAPES` lists all kinds. A shape may be scaled about the origin, rotated about its centroid and
+translated, in this order.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import shapely
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, create_model, model_validator
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.fields import LARGEST, Coordinate, Number, Place, Positive, Section, key, only_one
+from sphrom.case.fields import LARGEST, Coordinate, Number, OneOf, Place, Positive, Section, key
 from sphrom.sph.polygons import disc, require_few_crossings
 from sphrom.text import quoted, shortened, visible
 from sphrom.whole_files import read_whole
@@ -32,117 +33,188 @@ QUADRANT_CORNERS = 64
 MOST_BRACKETS = 8
 """Most nested brackets of well-known text; several polygons with holes have three."""
 
-COMBINATIONS: dict[str, Callable[[list[BaseGeometry]], BaseGeometry]] = {
-    "union": shapely.union_all,
-    "intersection": shapely.intersection_all,
-    "difference": lambda shapes: shapely.difference(shapes[0], shapely.union_all(shapes[1:])),
-}
-
-
-class CircleSection(Section):
-    """A circle."""
-
-    centre: Place = key(..., "centre", unit="m")
-    radius: Positive = key(..., "radius", unit="m")
-
-    def geometry(self) -> BaseGeometry:
-        """Return the circle's polygon [m]."""
-        return disc((self.centre[0], self.centre[1]), self.radius)
-
-
-class RectangleSection(Section):
-    """A rectangle along the axes."""
-
-    lower: Place = key(..., "lower left corner", unit="m")
-    upper: Place = key(..., "upper right corner", unit="m")
-
-    def geometry(self) -> BaseGeometry:
-        """Return the rectangle [m]. Raises ValueError unless `upper` is above `lower`."""
-        if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
-            raise ValueError("upper must be above lower along both axes")
-        return shapely.box(*self.lower, *self.upper)
-
-
-Shapes = Annotated[tuple["ShapeSection", ...], Field(min_length=1)]
-
-
-class BufferSection(Section):
-    """A shape that grows, or shrinks by a negative distance, with rounded corners."""
-
-    shape: ShapeSection = key(..., "the shape")
-    distance: Coordinate = key(..., "distance by which it grows", unit="m")
-
-    def geometry(self) -> BaseGeometry:
-        """Return the polygon [m]. Raises ValueError if it would have too many corners."""
-        shape = self.shape.geometry()
-        if (corners := _rounding_corners(shape, self.distance)) > MOST_CORNERS:
-            raise ValueError(f"rounding would make {corners:.0f} corners; simplify the shape")
-        return shapely.buffer(shape, self.distance, quad_segs=QUADRANT_CORNERS)
-
 
 class ShapeSection(Section):
-    """A shape of exactly one kind, with its scale, rotation and translation."""
+    """A shape, with its scale, rotation and translation; the base class of all kinds."""
 
-    circle: CircleSection | None = key(None, "a circle")
-    rectangle: RectangleSection | None = key(None, "a rectangle along the axes")
-    polygon: Annotated[tuple[Place, ...], Field(min_length=3)] | None = key(
-        None, "corners in order; the last is joined to the first", unit="m"
-    )
-    file: str | None = key(
-        None, "a file with polygons, .geojson, .json or .wkt; its content becomes the key wkt"
-    )
-    wkt: str | None = key(None, "polygons as well-known text")
-    union: Shapes | None = key(None, "the union of shapes")
-    intersection: Shapes | None = key(None, "the intersection of shapes")
-    difference: Shapes | None = key(None, "the first shape without the others")
-    buffer: BufferSection | None = key(None, "a shape that grows or shrinks")
+    # Built when a case first has one.
+    model_config = ConfigDict(defer_build=True)
+
     scale: Positive = key(1.0, "factor on all coordinates, such as 1e-3 for millimetres")
     rotate: Annotated[Number, Field(ge=-360.0, le=360.0)] = key(
         0.0, "angle of rotation about the centroid, anticlockwise", unit="deg"
     )
     translate: Place = key((0.0, 0.0), "translation", unit="m")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _with_outline(cls, values: Any, info: ValidationInfo) -> Any:
-        """Read the outline of a file into `wkt`, so that the case contains it."""
-        name = values.get("file") if isinstance(values, dict) else None
-        if not isinstance(name, str) or values.get("wkt") is not None:
-            return values
-        folder = (info.context or {}).get("folder", Path())
-        return {**values, "wkt": read_outline(Path(folder) / name).wkt}
+    @abstractmethod
+    def outline(self) -> BaseGeometry:
+        """Return the polygon, or polygons, before scaling, rotation and translation [m].
 
-    @model_validator(mode="after")
-    def _one_kind(self) -> ShapeSection:
-        # A shape from a file has both `file` and `wkt`.
-        only_one(self, [kind for kind in KINDS if self.file is None or kind != "wkt"])
-        return self
+        Raises ValueError if there is none.
+        """
 
     def geometry(self) -> BaseGeometry:
         """Return the polygon, or polygons, of the shape [m].
 
         Raises ValueError when it is empty, crosses itself, or has no area.
         """
-        kind = only_one(self, [kind for kind in KINDS if kind != "file"])
-        value = getattr(self, kind)
         try:
-            if kind == "polygon":
-                shape = shapely.Polygon(value)
-            elif kind == "wkt":
-                shape = _parsed(value)
-            elif kind in COMBINATIONS:
-                shape = COMBINATIONS[kind](_combinable(each.geometry() for each in value))
-            else:
-                shape = value.geometry()
+            outline = checked(self.outline())
         except shapely.errors.ShapelyError as error:
             raise ValueError(f"is not a polygon: {error}") from error
-        shape = affinity.scale(checked(shape), self.scale, self.scale, origin=(0.0, 0.0))
+        shape = affinity.scale(outline, self.scale, self.scale, origin=(0.0, 0.0))
         shape = affinity.rotate(shape, self.rotate, origin="centroid")
         shape = affinity.translate(shape, self.translate[0], self.translate[1])
         return checked(shape)
 
 
-KINDS = [name for name, field in ShapeSection.model_fields.items() if field.default is None]
+class CircleSection(Section):
+    """The place and size of a circle."""
+
+    centre: Place = key(..., "centre", unit="m")
+    radius: Positive = key(..., "radius", unit="m")
+
+
+class CircleShape(ShapeSection):
+    """A circle."""
+
+    circle: CircleSection = key(..., "a circle")
+
+    def outline(self) -> BaseGeometry:
+        x, y = self.circle.centre
+        return disc((x, y), self.circle.radius)
+
+
+class RectangleSection(Section):
+    """The corners of a rectangle."""
+
+    lower: Place = key(..., "lower left corner", unit="m")
+    upper: Place = key(..., "upper right corner", unit="m")
+
+
+class RectangleShape(ShapeSection):
+    """A rectangle along the axes."""
+
+    rectangle: RectangleSection = key(..., "a rectangle along the axes")
+
+    def outline(self) -> BaseGeometry:
+        lower = self.rectangle.lower
+        upper = self.rectangle.upper
+        if not all(low < high for low, high in zip(lower, upper, strict=True)):
+            raise ValueError("upper must be above lower along both axes")
+        return shapely.box(*lower, *upper)
+
+
+class PolygonShape(ShapeSection):
+    """A polygon."""
+
+    polygon: Annotated[tuple[Place, ...], Field(min_length=3)] = key(
+        ..., "corners in order; the last is joined to the first", unit="m"
+    )
+
+    def outline(self) -> BaseGeometry:
+        return shapely.Polygon(self.polygon)
+
+
+class WktShape(ShapeSection):
+    """Polygons as text."""
+
+    wkt: str = key(..., "polygons as well-known text")
+
+    def outline(self) -> BaseGeometry:
+        return _parsed(self.wkt)
+
+
+class FileShape(WktShape):
+    """Polygons from a file."""
+
+    file: str = key(
+        ..., "a file with polygons, .geojson, .json or .wkt; its content becomes the key wkt"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_outline(cls, values: Any, info: ValidationInfo) -> Any:
+        """Read the outline of the file into `wkt`, so that the case contains it."""
+        name = values.get("file") if isinstance(values, dict) else None
+        if not isinstance(name, str) or values.get("wkt") is not None:
+            return values
+        folder = (info.context or {}).get("folder", Path())
+        return {**values, "wkt": read_outline(Path(folder) / name).wkt}
+
+
+class UnionShape(ShapeSection):
+    """The union of shapes."""
+
+    union: Shapes = key(..., "the union of shapes")
+
+    def outline(self) -> BaseGeometry:
+        return shapely.union_all(_combinable(shape.geometry() for shape in self.union))
+
+
+class IntersectionShape(ShapeSection):
+    """The intersection of shapes."""
+
+    intersection: Shapes = key(..., "the intersection of shapes")
+
+    def outline(self) -> BaseGeometry:
+        shapes = _combinable(shape.geometry() for shape in self.intersection)
+        return shapely.intersection_all(shapes)
+
+
+class DifferenceShape(ShapeSection):
+    """A shape without others."""
+
+    difference: Shapes = key(..., "the first shape without the others")
+
+    def outline(self) -> BaseGeometry:
+        first, *others = _combinable(shape.geometry() for shape in self.difference)
+        return shapely.difference(first, shapely.union_all(others))
+
+
+class BufferSection(Section):
+    """A shape and its growth."""
+
+    shape: Shape = key(..., "the shape")
+    distance: Coordinate = key(..., "distance by which it grows", unit="m")
+
+
+class BufferShape(ShapeSection):
+    """A shape that grows, or shrinks by a negative distance, with rounded corners."""
+
+    buffer: BufferSection = key(..., "a shape that grows or shrinks")
+
+    def outline(self) -> BaseGeometry:
+        shape = self.buffer.shape.geometry()
+        distance = self.buffer.distance
+        if (corners := _rounding_corners(shape, distance)) > MOST_CORNERS:
+            raise ValueError(f"rounding would make {corners:.0f} corners; simplify the shape")
+        return shapely.buffer(shape, distance, quad_segs=QUADRANT_CORNERS)
+
+
+SHAPES: dict[str, type[ShapeSection]] = {
+    "circle": CircleShape,
+    "rectangle": RectangleShape,
+    "polygon": PolygonShape,
+    "file": FileShape,
+    "wkt": WktShape,
+    "union": UnionShape,
+    "intersection": IntersectionShape,
+    "difference": DifferenceShape,
+    "buffer": BufferShape,
+}
+"""All kinds of shapes, by the key that each one has alone."""
+Shape = Annotated[ShapeSection, OneOf(**SHAPES)]
+Shapes = Annotated[tuple[Shape, ...], Field(min_length=1)]
+
+
+def shapes_with(keys: type[ShapeSection], *names: str) -> dict[str, type[Section]]:
+    """Return kinds of shapes, by default all, that also have the keys of a section."""
+    begin = keys.__name__.removesuffix("Section")
+    return {
+        name: create_model(begin + SHAPES[name].__name__, __base__=(keys, SHAPES[name]))
+        for name in names or SHAPES
+    }
 
 
 def checked(shape: BaseGeometry) -> BaseGeometry:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Slowing:
-    """What slows the fluid of a scene.
+    """The resistance to the fluid of a scene, and the places and bodies that it needs.
 
     Parameters
     ----------

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -33,17 +34,29 @@ def rows_of(case: Case, figure: OfRuns) -> list[Row]:
     for names in figure.runs:
         row = tuple(None if name == FULL else models[name] for name in names)
         runs = [case.plan.points if model is None else case.plan.rom_points(model) for model in row]
-        points = tuple(p for p in case.plan.points if all(p in some for some in runs))
+        points = tuple(p for p in case.plan.points if all(p in known for known in runs))
         if figure.reynolds is not None:
             points = tuple(p for p in points if p.reynolds in figure.reynolds)
         rows.append((row, points))
     return rows
 
 
+def changed(case: Case, **sections: Any) -> Case:
+    """Return a case with other sections, or with sections whose keys change; unchecked.
+
+    The value of a section is the section itself, or a dict of the keys that change.
+    """
+    return case.model_copy(
+        update={
+            name: getattr(case, name).model_copy(update=value) if type(value) is dict else value
+            for name, value in sections.items()
+        }
+    )
+
+
 def at_resolution(case: Case, resolution: int) -> Case:
     """Return a case with another resolution."""
-    section = case.discretization.model_copy(update={"resolution": resolution})
-    return case.model_copy(update={"discretization": section})
+    return changed(case, discretization={"resolution": resolution})
 
 
 def fast_section(case: Case, name: str | None = None) -> ReducedModelSection | None:
@@ -94,16 +107,20 @@ def require_basis(case: Case, model: ReducedModelSection, point: ParameterPoint)
 
 def fit_ranges(case: Case, model: ReducedModelSection) -> Ranges:
     """Return the ranges of the free parameters of a fit, by name; others do not vary."""
-    varied = {k: ends for k, ends in trained_ranges(case, model).items() if ends[0] < ends[1]}
-    entries = varied | case.fit.parameters
-    return {k: (v[0], v[1]) for k, v in entries.items() if isinstance(v, tuple)}
+    entries = _fit_entries(case, model).items()
+    return {name: (entry[0], entry[1]) for name, entry in entries if isinstance(entry, tuple)}
 
 
 def fit_values(case: Case, model: ReducedModelSection) -> dict[str, float]:
     """Return the values of the fixed parameters of a fit, by name."""
-    fixed = {k: low for k, (low, high) in trained_ranges(case, model).items() if low == high}
-    entries = fixed | case.fit.parameters
-    return {k: float(v) for k, v in entries.items() if not isinstance(v, tuple)}
+    entries = _fit_entries(case, model).items()
+    return {name: float(entry) for name, entry in entries if not isinstance(entry, tuple)}
+
+
+def _fit_entries(case: Case, model: ReducedModelSection) -> dict[str, float | tuple[float, ...]]:
+    """Return the range of each free parameter, and the value of each fixed one."""
+    trained = trained_ranges(case, model)
+    return {k: e if e[0] < e[1] else e[0] for k, e in trained.items()} | case.fit.parameters
 
 
 def trained_ranges(case: Case, model: ReducedModelSection) -> Ranges:
@@ -175,8 +192,8 @@ class Region:
     def __init__(self, case: Case) -> None:
         self._case = case
         ranges = case.training.ranges
-        own = {REYNOLDS: case.plan.train_points[0].reynolds}
-        self._box = Box(ranges, {} if REYNOLDS in ranges else own)
+        reynolds = {REYNOLDS: case.plan.train_points[0].reynolds}
+        self._box = Box(ranges, {} if REYNOLDS in ranges else reynolds)
         self.names = tuple(dict.fromkeys((REYNOLDS, *ranges)))
 
     def point(self, place: Array) -> ParameterPoint:
@@ -224,9 +241,9 @@ class Region:
             plan = trained_at(self._case, points).plan
             return plan.steps, plan.sound_speed, plan.strip
 
-        every = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
-        everywhere = settings([*points, *every])
-        for corner in every:
+        all_corners = [self.point(np.array(place)) for place in product((0.0, 1.0), repeat=number)]
+        everywhere = settings([*points, *all_corners])
+        for corner in all_corners:
             if settings(points) == everywhere:
                 break
             points = list(dict.fromkeys((*points, corner)))
@@ -235,9 +252,11 @@ class Region:
 
 def trained_at(case: Case, points: Sequence[ParameterPoint]) -> Case:
     """Return a case with other training points, unchecked."""
+    return changed(case, parameters={"train": values_at(points)})
+
+
+def values_at(points: Sequence[ParameterPoint]) -> TrainValues:
+    """Return the section of parameters that names points."""
     if points[0].others:
-        train = TrainValues(points=tuple(point.as_dict() for point in points))
-    else:
-        train = TrainValues(reynolds=tuple(point.reynolds for point in points))
-    parameters = case.parameters.model_copy(update={"train": train})
-    return case.model_copy(update={"parameters": parameters})
+        return TrainValues(points=tuple(point.as_dict() for point in points))
+    return TrainValues(reynolds=tuple(point.reynolds for point in points))

@@ -137,7 +137,7 @@ class HistorySection(TableSection):
 
         The last step of a fast model may end beyond the last snapshot, and its table.
         """
-        return np.asarray(self.table)
+        return self.table
 
     def lacks(self, times: Array, tolerated: float = ROUNDING) -> str | None:
         """Return a problem if times [s] are beyond the table by a share of its duration."""
@@ -192,7 +192,7 @@ class InitialSection(TableSection):
         nearest = NearestNDInterpolator(points[:, :2], points[:, 2:])
 
         def fields(position: Array) -> Array:
-            values = np.asarray(between(position))
+            values = between(position)
             beyond = np.isnan(values).any(axis=1)
             values[beyond] = nearest(position[beyond])
             return values

@@ -107,6 +107,10 @@ def _section(values: dict[str, Any], path: Path, indent: str, kind: str) -> Iter
             yield f"{indent}{key}: {_inline(value)}"
             for below in () if value else _keys_of(at, kind):
                 yield from _comment(below, indent, kind, f"  {show_path(below[len(path) :])}: ")
+    # Keys of other kinds of the section.
+    for key in schema.known_keys(path, kind):
+        if key not in values:
+            yield from _comment((*path, key), indent, kind, f"{key}: ")
 
 
 def _keys_of(path: Path, kind: str, above: tuple[list[str], ...] = ()) -> Iterator[Path]:

@@ -132,8 +132,8 @@ def examples(
     if name is None:
         paths = template.examples()
         width = max(map(len, paths))
-        for each, path in paths.items():
-            tell(f"{each:{width}}  {template.title(path)}", indent=width + 2)
+        for example, path in paths.items():
+            tell(f"{example:{width}}  {template.title(path)}", indent=width + 2)
         return
     source = template.example(name)
     target = output or Path(source.name)

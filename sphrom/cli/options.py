@@ -148,7 +148,7 @@ def command(
     app: typer.Typer,
     name: str,
     taken: Sequence[str] = WHOLE,
-    own: Iterable[Parameter] = (),
+    more: Iterable[Parameter] = (),
     does: Callable[..., None] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that adds a function as a command; its docstring is the help.
@@ -158,7 +158,7 @@ def command(
     Parameters
     ----------
     taken : names of the fields of Options that the command has.
-    own : further options, which the function takes as keywords.
+    more : further options, which the function takes as keywords.
     does : function to call instead of the decorated one.
     """
 
@@ -168,9 +168,9 @@ def command(
 
         common = parameters_of(Options)
         named = parameters_of(function)
-        others = [p for n, p in named.items() if n not in ("options", "own")]
+        others = [p for n, p in named.items() if n not in ("options", "fields")]
         run.__signature__ = Signature(  # type: ignore[attr-defined]
-            [*(common[name] for name in ALL if name in taken), *others, *own]
+            [*(common[name] for name in ALL if name in taken), *others, *more]
         )
         app.command(name, cls=Command, help=function.__doc__)(run)
         return function

@@ -290,7 +290,7 @@ def train(
     """
 
 
-@command(stages, "import", (*OF_FILES, "threads"), own=parameters_of(ImportOptions).values())
+@command(stages, "import", (*OF_FILES, "threads"), more=parameters_of(ImportOptions).values())
 def import_(
     options: Options,
     files: Annotated[
@@ -306,7 +306,7 @@ def import_(
             "FILE", "Write a case with the files' times and resolution, and import into that one."
         ),
     ] = None,
-    **own: Any,
+    **fields: Any,
 ) -> None:
     """Import another program's snapshots as a full run: fom-<parameters>.h5.
 
@@ -319,20 +319,20 @@ def import_(
       sphrom import vortex.yaml tg/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
       sphrom import vortex.yaml *.vtp --write-case theirs.yaml --units length=mm
     """
-    about = ImportOptions(**own)
+    reading = ImportOptions(**fields)
     if write_case is not None:
-        from sphrom.exchange.import_ import fitted_case
+        from sphrom.exchange.conversion import fitted_case
 
         if write_case.suffix not in (".yaml", ".yml") or write_case.exists() > options.force:
             raise CaseError(f"{write_case}: must be a new .yaml file; --force overwrites one")
         overrides = options.overrides or []
-        text, keys = fitted_case(options.case, overrides, files, about, write_case.parent)
+        text, keys = fitted_case(options.case, overrides, files, reading, write_case.parent)
         options = replace(options, overrides=[*overrides, *keys])
-    missing = ", ".join(run_stage("import", options, files=files, about=about))
+    missing = ", ".join(run_stage("import", options, files=files, fields=reading))
     if write_case is not None:
         run = f"sphrom run {replace(options, case=write_case, overrides=None).words}"
-        way = f"import {missing} for {write_case} ({run} would simulate them)" if missing else run
-        write_new(write_case, text, f", with {' '.join(keys)}; next: {way}", force=options.force)
+        step = f"import {missing} for {write_case} ({run} would simulate them)" if missing else run
+        write_new(write_case, text, f", with {' '.join(keys)}; next: {step}", force=options.force)
 
 
 @stage_command(stages, "export", OF_FILES)

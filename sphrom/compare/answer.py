@@ -305,10 +305,9 @@ def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
             least[kind] = min(error, least.get(kind, math.inf))
 
     def key(model: ReducedModelSection) -> tuple[bool, bool, bool, float]:
-        kind = runs_alone(model)
         name = model.name
-        off = errors[name] > (1.0 + ALIKE) * least.get(kind, math.inf)
-        return not kind, name in failed, off, seconds.get(name) or math.inf
+        off = errors[name] > (1.0 + ALIKE) * least.get(runs_alone(model), math.inf)
+        return not runs_alone(model), name in failed, off, seconds.get(name) or math.inf
 
     return sorted(models, key=key)
 

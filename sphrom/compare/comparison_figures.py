@@ -24,7 +24,8 @@ from sphrom.compare.basis_figures import draw_modes, draw_spectrum, frame_of, mo
 from sphrom.compare.comparison_tables import Tables
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
-from sphrom.metrics.measures import UNITS, Samples, components
+from sphrom.metrics.measures import Samples
+from sphrom.metrics.quantities import MEASURABLE, components
 from sphrom.models.contract import BEST, Ability, family_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import Curve, Field, Frame, Panel, Role, draw_grid, save
@@ -175,8 +176,7 @@ class _PointFigures(RunFigures):
         if self.references:
             yield "profiles", self._profiles
         for name, measured in self.case.scene.recorded.items():
-            kind = "measure" if measured.force_on is None else "force"
-            yield f"{kind}-{name}", partial(self._measured, name)
+            yield f"{measured.folder}-{name}", partial(self._measured, name)
         if len(self.probes.stations):
             yield "history", self._history
 
@@ -296,7 +296,7 @@ class _PointFigures(RunFigures):
         x_label = "time [s]"
         x = self.time
         measure = field_measures(self.case).get(name)
-        is_line = measure is not None and measure.normal is None and len(measure.position) > 1
+        is_line = measure is not None and not measure.is_integral and len(measure.position) > 1
         if measure is not None and is_line:
             title = f"{title}, t = {x[-1]:.4g} s"
             x_label = "along the line [m]"
@@ -305,7 +305,7 @@ class _PointFigures(RunFigures):
         for run in self._runs():
             for quantity, values in run.measured(name).items():
                 for component, one in components(quantity, values).items():
-                    label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
+                    label = f"{component.replace('_', ' ')} [{MEASURABLE[quantity].unit}]"
                     # Flow rates and probes have a single place.
                     shown = one[-1] if is_line else one.reshape(len(x))
                     panels.setdefault(label, []).append(self.curve(run.name, x, shown))

@@ -99,8 +99,7 @@ def full_run_timer(workspace: Workspace, point: ParameterPoint, step: float) -> 
         position, density, velocity = snapshot_fields(run, run.length("time") // 2)
     state = np.vstack((position.T, density, velocity.T))
     model = particles.functional(case, point)
-    own_step = case.plan.steps.time_step
-    return partial(seconds_of_steps, case, model, state, own_step, step)
+    return partial(seconds_of_steps, case, model, state, case.plan.steps.time_step, step)
 
 
 def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
@@ -226,7 +225,7 @@ def offline_seconds(
             training += _computing_seconds(packing)
     offline = training
     own = {memory_timing(name, model.size) for name in names if model.has_memory}
-    closures = {memory_timing(*closure) for closure in plan.memory_models}
+    closures = {memory_timing(basis, size) for basis, size in plan.memory_models}
     for stage in (*map(workspace.mapped, trained), *workspace.made_from(model)):
         with workspace.open(stage) as artifact:
             offline += _computing_seconds(artifact)

@@ -21,20 +21,18 @@ from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import (
     DRY,
     ONLY_NOISE,
-    UNITS,
     Probes,
     Quantities,
     Samples,
-    components,
     errors_of,
     mean_square,
     mean_squares,
-    parts,
     shares,
     since,
     variations,
     with_coefficients,
 )
+from sphrom.metrics.quantities import MEASURABLE, components, parts
 from sphrom.metrics.series import NO_OSCILLATION, dominant_frequency, kinetic_energy
 from sphrom.models.contract import Measured
 from sphrom.models.stored_run import StoredRun
@@ -82,8 +80,8 @@ def measured_estimates(case: Case, run: Artifact) -> Measured:
     """Read the estimated errors (...) of a reduced run's measurements, if there are any."""
     estimates: dict[str, Quantities] = {}
     for name in case.scene.recorded:
-        stored = vars(read_record(run, MeasuredOnce, f"error_estimate/measure/{name}"))
-        estimates[name] = {q: np.atleast_1d(v) for q, v in stored.items() if v is not None}
+        stored = read_record(run, MeasuredOnce, f"error_estimate/measure/{name}")
+        estimates[name] = stored.quantities
     factors = {n: f for n, f in case.plan.coefficients.items() if estimates[n]}
     return with_coefficients(estimates, factors)
 
@@ -125,7 +123,7 @@ def measure_rows(
                 yield MeasureRow(
                     measured=measured,
                     quantity=component,
-                    unit=UNITS[quantity],
+                    unit=MEASURABLE[quantity].unit,
                     **described,
                     from_time=begin,
                     mean=float(part.mean()),

@@ -17,7 +17,7 @@ from sphrom.artifacts.records.comparison import ReferenceProfile as Profile
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import Probes
-from sphrom.scenes.flows import ReferenceProfile
+from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.stored_run import ON_WALL, sample_run
 

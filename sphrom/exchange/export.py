@@ -237,9 +237,11 @@ def _tag(name: str, body: str, **attributes: object) -> str:
 
 def _write_xml(path: Path, kind: str, body: str, force: bool) -> None:
     order = "LittleEndian" if sys.byteorder == "little" else "BigEndian"
-    about = {"type": kind, "version": "1.0", "byte_order": order, "header_type": "UInt64"}
+    attributes = {"type": kind, "version": "1.0", "byte_order": order, "header_type": "UInt64"}
     with replacement(path, force=force) as file:
-        file.write(f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **about)}'.encode())
+        file.write(
+            f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **attributes)}'.encode()
+        )
 
 
 def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:

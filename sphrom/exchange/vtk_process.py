@@ -81,8 +81,8 @@ def _read(path: str, step: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         raise ValueError(f"{grid.GetClassName().removeprefix('vtk')} has no points of its own")
     if not grid.GetNumberOfPoints():
         return {}, {}
-    whole = _arrays_of(grid.GetFieldData()).items()
-    numbers = {name: float(values.ravel()[0]) for name, values in whole if values.size == 1}
+    of_file = _arrays_of(grid.GetFieldData()).items()
+    numbers = {name: float(values.ravel()[0]) for name, values in of_file if values.size == 1}
     points = vtk_to_numpy(grid.GetPoints().GetData())
     return numbers, {**_arrays_of(grid.GetPointData()), "Points": points}
 

@@ -111,9 +111,11 @@ class Fit(records.Fit):
     @property
     def estimates(self) -> tuple[Estimate, ...]:
         """All estimates, each with its interval."""
-        numbers = [getattr(self, name).tolist() for name in NUMBERS]
-        rows = zip(self.estimate_names.split(","), *numbers, self.remarks.split(","), strict=True)
-        return tuple(Estimate(*row) for row in rows)
+        remarks = self.remarks.split(",")
+        return tuple(
+            Estimate(name, **{n: float(getattr(self, n)[k]) for n in NUMBERS}, remark=remarks[k])
+            for k, name in enumerate(self.estimate_names.split(","))
+        )
 
     def __getitem__(self, parameter: str) -> Estimate:
         """Return the estimate of a parameter. Raises CaseError if there is none."""
@@ -144,14 +146,15 @@ class Fit(records.Fit):
         if Path(path).suffix.lower() not in FORMATS:
             raise CaseError(f"path: must end in {' or '.join(FORMATS)}; got {quoted(str(path))}")
         panels = []
-        for each in self.histories[:MOST_SHOWN]:
-            ends = np.stack([each.curve - each.half_width, each.curve + each.half_width])
-            name = "fitted model and 95 % interval"
+        for history in self.histories[:MOST_SHOWN]:
+            curve = history.curve
+            ends = np.stack([curve - history.half_width, curve + history.half_width])
+            fitted = "fitted model and 95 % interval"
             curves = [
-                Curve(name, self.time, each.curve, interval=ends, place=place),
-                Curve("measured", each.instant, each.measured, "reference"),
+                Curve(fitted, self.time, curve, interval=ends, place=place),
+                Curve("measured", history.instant, history.measured, "reference"),
             ]
-            panels.append(Panel(each.name, "time [s]", f"[{each.units}]", curves))
+            panels.append(Panel(history.name, "time [s]", f"[{history.units}]", curves))
         rows = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
         title = f"{self.model} fitted to {self.measurements}"
         if len(self.history) > MOST_SHOWN:
@@ -211,7 +214,7 @@ def show(report: Reporter, fit: Fit) -> None:
         f"fit of {fit.model} to {fit.measurements}: 95 % intervals and standard deviations, with "
         "their parts due to noise and to the model's errors",
         ("parameter", "value", "from", "to", "deviation", "noise", "model", "[%]", ""),
-        [_shown(each) for each in fit.estimates],
+        [_shown(estimate) for estimate in fit.estimates],
     )
     if len(fit.free) > 1:
         pairs = zip(fit.free, fit.correlation, strict=True)
@@ -284,8 +287,8 @@ def fit(
     refined = first
     if samples is not None:
         time = model.times(start)
-        each = [model.at_instants(time, sample) for sample in samples]
-        weights = Weights(measurements.noise, np.stack(each))
+        errors = np.stack([model.at_instants(time, sample) for sample in samples])
+        weights = Weights(measurements.noise, errors)
         refined = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
     best = refined[0]
     likely = nearly_as_good(refined)
@@ -298,15 +301,15 @@ def fit(
     estimates = list(_estimates(model, best, spread, shares, doubt))
     histories = {str(k): h for k, h in enumerate(_histories(model, best, spread, samples))}
     fitted = Fit(
-        **{name: np.array([getattr(each, name) for each in estimates]) for name in NUMBERS},
+        **{name: np.array([getattr(e, name) for e in estimates]) for name in NUMBERS},
         covariance=spread.covariance * np.outer(slopes, slopes),
         correlation=spread.correlation,
         eigenvalues=spread.eigenvalues,
         directions=spread.directions,
         time=model.times(best.place),
         history=histories,
-        estimate_names=",".join(each.parameter for each in estimates),
-        remarks=",".join(each.remark for each in estimates),
+        estimate_names=",".join(estimate.parameter for estimate in estimates),
+        remarks=",".join(estimate.remark for estimate in estimates),
         parameter_names=",".join(box.names),
         point=model.point(best.place).as_dict(),
         model=fast.section.name,
@@ -352,14 +355,14 @@ def _estimates(
 def _histories(
     model: FittedModel, best: Minimum, spread: Uncertainty, samples: Array | None
 ) -> Iterator[FittedHistory]:
-    whole = model.whole(best.place)
-    assert whole is not None  # the search has evaluated this place
-    time, curves, slopes = whole
+    found = model.over_time(best.place)
+    assert found is not None  # the search has evaluated this place
+    _, curves, slopes = found
+    samples = np.zeros((0, *curves.shape)) if samples is None else samples
     ends = np.cumsum([len(history.time) for history in model.histories])
     parts = np.split(best.values, ends[:-1])
     for k, (history, fitted) in enumerate(zip(model.histories, parts, strict=True)):
-        own = np.zeros((0, len(time))) if samples is None else samples[:, :, k]
-        variance = history_variance(slopes[:, k], spread, own)
+        variance = history_variance(slopes[:, k], spread, samples[:, :, k])
         yield FittedHistory(
             instant=history.time,
             measured=history.value,
@@ -428,7 +431,7 @@ def _about_the_fit(fitted: Fit, by_model: float) -> Iterator[str]:
     ratio = fitted.chi_square / dof
     bound = fitted.expected_chi_square
     if (beyond := fitted.chi_square - bound) > 0.0:
-        worst = max(fitted.histories, key=lambda each: each.residual)
+        worst = max(fitted.histories, key=lambda history: history.residual)
         bad = beyond > (TRUSTED - 1.0) * by_model
         larger = "far" if bad else f"{100.0 * (math.sqrt(1.0 + beyond / by_model) - 1.0):.2g} %"
         yield (

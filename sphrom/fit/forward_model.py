@@ -21,7 +21,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Box, Ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
-from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities, combined, items
+from sphrom.metrics.measures import FieldMeasure, Quantities, combined, items
+from sphrom.metrics.quantities import MEASURABLE, PLACED
 from sphrom.models.contract import Ability, Model
 from sphrom.models.points.basis_model import quantities_of
 from sphrom.models.points.fast_model import FastModel
@@ -98,12 +99,12 @@ class FittedModel:
 
     def __call__(self, place: Array) -> tuple[Array, Array] | None:
         """Return values (n_values,) and derivatives (n_values, n_free) at a place."""
-        if (histories := self.whole(place)) is None:
+        if (histories := self.over_time(place)) is None:
             return None
         time, values, slopes = histories
         return self.at_instants(time, values), self.at_instants(time, slopes)
 
-    def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
+    def over_time(self, place: Array) -> tuple[Array, Array, Array] | None:
         """Return the histories at all snapshots, and their derivatives by the place.
 
         Times are (n_snapshots,), histories (n_snapshots, n_histories) and derivatives
@@ -209,7 +210,7 @@ class FittedEquations(FittedModel):
 
         return reference_model.choose(reduced, steps)
 
-    def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
+    def over_time(self, place: Array) -> tuple[Array, Array, Array] | None:
         """Return the same, with the derivatives of the model's equations."""
         point = self.point(place)
         reduced = self.reduced(point)
@@ -227,8 +228,8 @@ class FittedEquations(FittedModel):
             step = STEP * (abs(point.as_dict()[name]) or 1.0)
             sides = (combined(measured, changes, part * step) for part in (-0.5, 0.5))
             low, high = (oscillations.of(run.time, side) for side in sides)
-            for each, figures in high.items():
-                changes[each] = {q: (v - low[each][q]) / step for q, v in figures.items()}
+            rates = combined(high, low, -1.0)
+            changes |= {n: {q: v / step for q, v in rate.items()} for n, rate in rates.items()}
             slopes.append(self.stacked(changes))
         if not np.isfinite(histories).all():
             return None
@@ -255,13 +256,14 @@ class FittedEquations(FittedModel):
         if not len(differences):
             return None
         ratios = np.sqrt(np.mean(estimate.errors**2, axis=0) / np.mean(sizes**2, axis=1))
-        of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
-        factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in self.histories]
+        of_fields = {"velocity": ratios[:, 0], "pressure": ratios[:, 1]}
+        found = (MEASURABLE.get(h.quantity) for h in self.histories)
+        factors = [of_fields.get(q.of_field if q else "", ratios.max(axis=1)) for q in found]
         scaled = differences * np.stack(factors, axis=1)[:, None]
         steps = case.plan.steps
         time = steps.start_time + steps.snapshot_interval * compared_snapshots(steps.n_snapshots)
-        each = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
-        return np.stack(each).transpose(0, 2, 1)
+        samples = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
+        return np.array(samples).transpose(0, 2, 1)
 
     def _differences(self, name: str) -> tuple[Array, Array]:
         """Return the differences of histories in training runs, and the sizes of errors.
@@ -278,24 +280,25 @@ class FittedEquations(FittedModel):
         oscillations = workspace.case.plan.oscillations
         if (errors := trained.errors) is None or (known := errors.held_out) is None:
             return np.zeros(0), np.zeros(0)
-        for row, (k, reduced, own) in enumerate(trained.held_out()):
+        for row, (k, reduced, coordinates) in enumerate(trained.held_out()):
             change = items(trained.differences, row)
             time = reduced.output_times.time
-            predicted = quantities_of(workspace.case, reduced, time, own)
+            predicted = quantities_of(workspace.case, reduced, time, coordinates)
             full = oscillations.of(time, combined(predicted, change, 1.0))
-            change = items(
-                change | combined(full, oscillations.of(time, predicted), -1.0), compared
-            )
+            change |= combined(full, oscillations.of(time, predicted), -1.0)
+            change = items(change, compared)
             if (fields := self.unnamed) is not None:
                 measure = self.reduced(points[k], name).measures[UNNAMED]
-                there = measure.at(own[compared], reduced.mean_density_fluctuation)
+                model_fields = measure.at(coordinates[compared], reduced.mean_density_fluctuation)
                 with workspace.open(workspace.full_run(points[k])) as run:
-                    each = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
-                change[UNNAMED] = {q: np.stack([one[q] for one in each]) - there[q] for q in PLACED}
-            if not np.isfinite(self.stacked(change)).all():
-                continue  # the run does not oscillate
-            differences.append(self.stacked(change))
-            sizes.append(known.errors[row])
+                    full_fields = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
+                change[UNNAMED] = {
+                    q: np.stack([f[q] for f in full_fields]) - model_fields[q] for q in PLACED
+                }
+            histories = self.stacked(change)
+            if np.isfinite(histories).all():  # otherwise the run does not oscillate
+                differences.append(histories)
+                sizes.append(known.errors[row])
         return np.array(differences), np.array(sizes)
 
 

@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sphrom.arrays import Array
-from sphrom.case.checks import outside_fluid
 from sphrom.case.fields import LARGEST
+from sphrom.case.measure_sections import outside_fluid
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import PLACED, Column
+from sphrom.metrics.quantities import PLACED, Column
 from sphrom.metrics.series import OSCILLATION
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.text import nearest, quoted, repeated, shortened, table_rows, visible
@@ -147,7 +147,7 @@ def _text(source: Source) -> tuple[str, str]:
     rows = io.StringIO()
     writer = csv.writer(rows, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows(zip(*(each.tolist() for each in columns.values()), strict=True))
+    writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
     return "measurements", rows.getvalue()
 
 
@@ -165,8 +165,7 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     columns = {n: column_of(case, n) for n in names if n not in AXES and not n.endswith(NOISE)}
     entries: dict[Key, list[Entry]] = {}
     for line, row in rows:
-        each = zip(names, row, strict=True)
-        cells = {name: _number(cell, name, line) for name, cell in each}
+        cells = {n: _number(cell, n, line) for n, cell in zip(names, row, strict=True)}
         for name, column in columns.items():
             if math.isnan(value := cells[name]):
                 continue
@@ -178,7 +177,9 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     if sum(map(len, entries.values())) > MOST_VALUES:
         raise ValueError(f"has more than {MOST_VALUES} values; keep fewer times")
     places = list(dict.fromkeys(place for _, _, place in entries if place is not None))
-    if places and (problem := outside_fluid(case, np.array(places))) is not None:
+    spacing = case.plan.particle_spacing
+    problem = outside_fluid(case.scene.domain, np.array(places).reshape(-1, 2), spacing)
+    if problem is not None:
         raise ValueError(problem.partition(";")[0])
     return entries
 
@@ -213,10 +214,10 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
 def column_of(case: Case, name: str) -> Column:
     """Return the column with a name. Raises ValueError if the case has no such measurement."""
     known = AT_PLACE | case.scene.columns
-    for measured, each in case.plan.oscillations.items():
-        known |= {
-            f"{measured}_{f}": Column(measured, f, None, each.units_of(f)) for f in OSCILLATION[:3]
-        }
+    for measured, oscillating in case.plan.oscillations.items():
+        for figure in OSCILLATION[:3]:
+            units = oscillating.units_of(figure)
+            known[f"{measured}_{figure}"] = Column(measured, figure, None, units)
     if name not in known:
         raise ValueError(
             f"column {quoted(name)} is not a measurement of the case over time; "

@@ -12,10 +12,12 @@ it is padded with a source beyond all supports. Positions are relative to the bl
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.kernels.cells import Grid, range_beside_box, rows_within
+from sphrom.kernels.cells import Box, Grid, Search, range_beside_box, rows_within
 from sphrom.kernels.jit import serial, term
 
 BLOCK_COLUMNS = 4
@@ -26,6 +28,19 @@ N_CHUNKS = 64
 """Number of parts into which blocks are divided; each has its own memory for a list."""
 FAR = 4.0
 """Position of the padding sources of a list, over the reach and the block's size."""
+
+
+class Blocks(NamedTuple):
+    """The particles among the sources, in blocks, and the memory for their lists."""
+
+    particle: Indices
+    """(n_sources,) the particle of each source; several sources may be its images."""
+    targets: Indices
+    """(n_particles,) the sources that are particles, in sorted order."""
+    start: Indices
+    """(n_blocks + 1,) the first target of each block."""
+    scratch: Array
+    """(N_CHUNKS, n_fields, longest list)"""
 
 
 @serial
@@ -48,8 +63,8 @@ def split_targets(targets: Indices, grid: Grid, cell_start: Indices) -> Indices:
 
 
 @term
-def box_of(source: Array, targets: Indices) -> tuple[float, float, float, float]:
-    """Return the least and the largest x and y of some targets [m]."""
+def box_of(source: Array, targets: Indices) -> Box:
+    """Return the box around some targets."""
     west = east = source[0, targets[0]]
     south = north = source[1, targets[0]]
     for t in range(1, targets.size):
@@ -58,34 +73,30 @@ def box_of(source: Array, targets: Indices) -> tuple[float, float, float, float]
         east = max(east, source[0, j])
         south = min(south, source[1, j])
         north = max(north, source[1, j])
-    return west, east, south, north
+    return Box(west, east, south, north)
 
 
 @serial
 def longest_list(
-    place: Array,
-    targets: Indices,
-    block_start: Indices,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    move_limit: float,
+    place: Array, targets: Indices, block_start: Indices, search: Search, move_limit: float
 ) -> int:
     """Return a bound for the length of lists while no target has moved beyond a limit [m].
 
-    `place` (2, n_sources) are the positions when sources were sorted, `reach` is the largest.
+    `place` (2, n_sources) are the positions when sources were sorted; the reach is the largest.
     """
     longest = 0
     for b in range(block_start.size - 1):
-        west, east, south, north = box_of(place, targets[block_start[b] : block_start[b + 1]])
-        west -= move_limit
-        east += move_limit
-        south -= move_limit
-        north += move_limit
+        box = box_of(place, targets[block_start[b] : block_start[b + 1]])
+        box = Box(
+            box.west - move_limit,
+            box.east + move_limit,
+            box.south - move_limit,
+            box.north + move_limit,
+        )
         total = 0
-        first, last = rows_within(south, north, reach, grid)
+        first, last = rows_within(box.south, box.north, search)
         for row in range(first, last):
-            low, high = range_beside_box(west, east, south, north, row, reach, grid, cell_start)
+            low, high = range_beside_box(box, row, search)
             total += max(high - low, 0)
         longest = max(longest, total)
     return (longest + VECTOR - 1) // VECTOR * VECTOR
@@ -99,14 +110,7 @@ def copy_range(values: Array, target: Array, origin: float) -> None:
 
 
 @term
-def list_candidates(
-    source: Array,
-    targets: Indices,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    candidates: Array,
-) -> int:
+def list_candidates(source: Array, targets: Indices, search: Search, candidates: Array) -> int:
     """Copy the sources that may be within reach of a block's targets to a list; return its length.
 
     Parameters
@@ -117,11 +121,11 @@ def list_candidates(
     """
     x_origin = source[0, targets[0]]
     y_origin = source[1, targets[0]]
-    west, east, south, north = box_of(source, targets)
+    box = box_of(source, targets)
     n = 0
-    first, last = rows_within(south, north, reach, grid)
+    first, last = rows_within(box.south, box.north, search)
     for row in range(first, last):
-        low, high = range_beside_box(west, east, south, north, row, reach, grid, cell_start)
+        low, high = range_beside_box(box, row, search)
         if high > low:
             end = n + high - low
             copy_range(source[0, low:high], candidates[0, n:end], x_origin)
@@ -133,5 +137,5 @@ def list_candidates(
     for k in range(n, full):
         for f in range(candidates.shape[0]):
             candidates[f, k] = 0.0
-        candidates[0, k] = FAR * (reach + east - west)
+        candidates[0, k] = FAR * (search.reach + box.east - box.west)
     return full

@@ -56,41 +56,58 @@ def sort_by_cell(
     return order, cell_start
 
 
+class Search(NamedTuple):
+    """The cells with the sources in them, and how far to search.
+
+    It repeats the fields of the grid, because compiled threads can share no records of records.
+    """
+
+    x_origin: float
+    y_origin: float
+    cell_width: float
+    cell_height: float
+    n_columns: int
+    n_rows: int
+    cell_start: NDArray[np.int64]
+    reach: float
+    """[m]"""
+    inverse_length: float
+    """1/h [1/m]."""
+
+
 @term
-def rows_within(south: float, north: float, reach: float, grid: Grid) -> tuple[int, int]:
+def rows_within(south: float, north: float, search: Search) -> tuple[int, int]:
     """Return the first row of cells within reach of a range of y, and one past the last."""
-    first = math.floor((south - reach - grid.y_origin) / grid.cell_height)
-    last = math.floor((north + reach - grid.y_origin) / grid.cell_height)
-    return max(first, 0), min(last + 1, grid.n_rows)
+    first = math.floor((south - search.reach - search.y_origin) / search.cell_height)
+    last = math.floor((north + search.reach - search.y_origin) / search.cell_height)
+    return max(first, 0), min(last + 1, search.n_rows)
+
+
+class Box(NamedTuple):
+    """The least and the largest x and y [m]."""
+
+    west: float
+    east: float
+    south: float
+    north: float
 
 
 @term
-def range_beside_box(
-    west: float,
-    east: float,
-    south: float,
-    north: float,
-    row: int,
-    reach: float,
-    grid: Grid,
-    cell_start: NDArray[np.int64],
-) -> tuple[int, int]:
+def range_beside_box(box: Box, row: int, search: Search) -> tuple[int, int]:
     """Return the range of sorted sources in a row of cells that may lie within reach of a box."""
-    low = grid.y_origin + row * grid.cell_height
-    apart = max(0.0, max(low - north, south - low - grid.cell_height))
-    half = math.sqrt(max(reach * reach - apart * apart, 0.0))
-    first = math.floor((west - half - grid.x_origin) / grid.cell_width)
-    last = math.floor((east + half - grid.x_origin) / grid.cell_width)
-    base = row * grid.n_columns
+    low = search.y_origin + row * search.cell_height
+    gap = max(0.0, max(low - box.north, box.south - low - search.cell_height))
+    half = math.sqrt(max(search.reach * search.reach - gap * gap, 0.0))
+    first = math.floor((box.west - half - search.x_origin) / search.cell_width)
+    last = math.floor((box.east + half - search.x_origin) / search.cell_width)
+    base = row * search.n_columns
     # A position may be beyond the sources on either side.
-    first = min(max(first, 0), grid.n_columns)
-    last = min(max(last, -1), grid.n_columns - 1)
-    return cell_start[base + first], cell_start[base + last + 1]
+    first = min(max(first, 0), search.n_columns)
+    last = min(max(last, -1), search.n_columns - 1)
+    return search.cell_start[base + first], search.cell_start[base + last + 1]
 
 
 @term
-def range_in_row(
-    x: float, y: float, row: int, reach: float, grid: Grid, cell_start: NDArray[np.int64]
-) -> tuple[int, int]:
+def range_in_row(x: float, y: float, row: int, search: Search) -> tuple[int, int]:
     """Return the range of sorted sources in a row of cells that may lie within reach of (x, y)."""
-    return range_beside_box(x, x, y, y, row, reach, grid, cell_start)
+    return range_beside_box(Box(x, x, y, y), row, search)

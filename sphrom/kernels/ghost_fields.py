@@ -1,6 +1,6 @@
 """Interpolation of the fluid's fields to the ghosts of walls (Eq. 2.15).
 
-`source` is laid out as in `sphrom.kernels.sweeps`. Ghosts without fluid nearby get zero.
+`source` is laid out as in `sphrom.kernels.fields`. Ghosts without fluid nearby get zero.
 """
 
 from __future__ import annotations
@@ -9,51 +9,16 @@ import math
 
 from numba import prange
 
-from sphrom.arrays import Array, Indices
-from sphrom.kernels.cells import Grid, range_in_row, rows_within
+from sphrom.arrays import Array
+from sphrom.kernels.cells import Search, range_in_row, rows_within
+from sphrom.kernels.fields import X, Y, vector_at
 from sphrom.kernels.jit import parallel, term
-from sphrom.kernels.sweeps import DENSITY, VOLUME, U, V, X, Y
-from sphrom.kernels.wendland import gradient_factor, kernel
-
-
-@term
-def _mean_pairs(
-    xi: float,
-    yi: float,
-    x: Array,
-    y: Array,
-    density: Array,
-    us: Array,
-    vs: Array,
-    volume: Array,
-    inverse_length: float,
-) -> tuple[float, float, float, float, float]:
-    """Sum the pair terms of `ghost_means` over one range of fluid sources."""
-    weights = densities = u = v = flux = 0.0
-    for k in range(x.size):
-        ox = xi - x[k]
-        oy = yi - y[k]
-        distance = math.sqrt(ox * ox + oy * oy)
-        weight = kernel(distance, inverse_length)
-        weights += weight
-        densities += density[k] * weight
-        u += us[k] * weight
-        v += vs[k] * weight
-        factor = gradient_factor(distance, inverse_length) * volume[k]
-        flux -= (us[k] * ox + vs[k] * oy) * factor
-    return weights, densities, u, v, flux
+from sphrom.kernels.sums import damping_row, mean_row, over_rows
+from sphrom.kernels.wendland import kernel
 
 
 @parallel
-def ghost_means(
-    ghost: Array,
-    source: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
-    out: Array,
-) -> None:
+def ghost_means(ghost: Array, source: Array, search: Search, out: Array) -> None:
     """Interpolate the fluid's density fluctuation and velocity to ghosts (Eq. 2.15).
 
     Parameters
@@ -64,28 +29,10 @@ def ghost_means(
         fluid nearby; the sum of the kernel [1/m2]; the flux phi towards the ghost [1/s].
     """
     for i in prange(ghost.shape[1]):
-        xi = ghost[0, i]
-        yi = ghost[1, i]
-        weights = density = u = v = flux = 0.0
-        first, last = rows_within(yi, yi, reach, grid)
-        for row in range(first, last):
-            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-            b = _mean_pairs(
-                xi,
-                yi,
-                source[X, low:high],
-                source[Y, low:high],
-                source[DENSITY, low:high],
-                source[U, low:high],
-                source[V, low:high],
-                source[VOLUME, low:high],
-                inverse_length,
-            )
-            weights += b[0]
-            density += b[1]
-            u += b[2]
-            v += b[3]
-            flux += b[4]
+        zeros = (0.0, 0.0, 0.0, 0.0, 0.0)
+        place = vector_at(ghost, 0, i)
+        sums = over_rows(mean_row, zeros, place, None, source, search, None)
+        weights, density, u, v, flux = sums
         scale = 1.0 / weights if weights > 0.0 else 0.0
         out[0, i] = density * scale
         out[1, i] = u * scale
@@ -105,6 +52,7 @@ def _head_pairs(
     inverse_length: float,
 ) -> float:
     """Sum the pair terms of `ghost_heads` over one range of fluid sources."""
+    # By hand: with vectors the last digits of these sums change.
     total = 0.0
     for k in range(x.size):
         ox = xi - x[k]
@@ -116,15 +64,7 @@ def _head_pairs(
 
 @parallel
 def ghost_heads(
-    ghost: Array,
-    source: Array,
-    force: Array,
-    weights: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
-    out: Array,
+    ghost: Array, source: Array, force: Array, weights: Array, search: Search, out: Array
 ) -> None:
     """Compute the contribution of a body force to the pressure at ghosts (Eq. 2.15).
 
@@ -138,9 +78,9 @@ def ghost_heads(
         xi = ghost[0, i]
         yi = ghost[1, i]
         total = 0.0
-        first, last = rows_within(yi, yi, reach, grid)
+        first, last = rows_within(yi, yi, search)
         for row in range(first, last):
-            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+            low, high = range_in_row(xi, yi, row, search)
             total += _head_pairs(
                 xi,
                 yi,
@@ -148,35 +88,14 @@ def ghost_heads(
                 source[Y, low:high],
                 force[0, low:high],
                 force[1, low:high],
-                inverse_length,
+                search.inverse_length,
             )
         out[i] = total / weights[i] if weights[i] > 0.0 else 0.0
 
 
-@term
-def _damping_pairs(
-    xi: float, yi: float, x: Array, y: Array, values: Array, inverse_length: float
-) -> float:
-    """Sum the pair terms of `ghost_damping` over one range of fluid sources."""
-    total = 0.0
-    for k in range(x.size):
-        ox = xi - x[k]
-        oy = yi - y[k]
-        total += values[k] * kernel(math.sqrt(ox * ox + oy * oy), inverse_length)
-    return total
-
-
 @parallel
 def ghost_damping(
-    ghost: Array,
-    source: Array,
-    values: Array,
-    weights: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
-    out: Array,
+    ghost: Array, source: Array, values: Array, weights: Array, search: Search, out: Array
 ) -> None:
     """Add the pressure of the fluid's damper to ghosts, interpolated as in Eq. 2.15.
 
@@ -187,14 +106,7 @@ def ghost_damping(
     out : (n_ghosts,) [kg/m3].
     """
     for i in prange(ghost.shape[1]):
-        xi = ghost[0, i]
-        yi = ghost[1, i]
-        total = 0.0
-        first, last = rows_within(yi, yi, reach, grid)
-        for row in range(first, last):
-            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-            total += _damping_pairs(
-                xi, yi, source[X, low:high], source[Y, low:high], values[low:high], inverse_length
-            )
+        place = vector_at(ghost, 0, i)
+        pressure = over_rows(damping_row, 0.0, place, None, source, search, values)
         if weights[i] > 0.0:
-            out[i] += total / weights[i]
+            out[i] += pressure / weights[i]

@@ -11,10 +11,13 @@ import math
 
 from numba import prange
 
-from sphrom.arrays import Array, Indices
-from sphrom.kernels.cells import Grid, range_in_row, rows_within
+from sphrom.arrays import Array
+from sphrom.kernels.cells import Search, range_in_row, rows_within
+from sphrom.kernels.fields import vector_at
 from sphrom.kernels.jit import parallel, term
-from sphrom.kernels.wendland import kernel
+from sphrom.kernels.pairs import kernel_of
+from sphrom.kernels.sums import over_rows
+from sphrom.kernels.vectors import Vector, element, minus, times
 
 N_TERMS = 6
 """Terms of a quadratic polynomial in two dimensions: 1, x, y, x^2, x y, y^2."""
@@ -33,38 +36,31 @@ Y_POWER = (0, 0, 1, 0, 1, 2)
 
 
 @term
-def _shepard_pairs(
-    xi: float,
-    yi: float,
-    x: Array,
-    y: Array,
-    first: Array,
-    second: Array,
-    third: Array,
+def _shepard_row(
+    total: tuple[float, ...],
+    place: Vector,
+    target: None,
+    source: Array,
+    columns: slice,
+    given: None,
     inverse_length: float,
-) -> tuple[float, float, float, float]:
+) -> tuple[float, ...]:
+    places = vector_at(source, 0, columns)
+    first = source[2, columns]
+    second = source[3, columns]
+    third = source[4, columns]
     norm = a = b = c = 0.0
-    for k in range(x.size):
-        ox = xi - x[k]
-        oy = yi - y[k]
-        weight = kernel(math.sqrt(ox * ox + oy * oy), inverse_length)
+    for k in range(first.size):
+        weight = kernel_of(minus(place, element(places, k)), inverse_length)
         norm += weight
         a += weight * first[k]
         b += weight * second[k]
         c += weight * third[k]
-    return norm, a, b, c
+    return total[0] + norm, total[1] + a, total[2] + b, total[3] + c
 
 
 @parallel
-def shepard(
-    points: Array,
-    source: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
-    out: Array,
-) -> None:
+def shepard(points: Array, source: Array, search: Search, out: Array) -> None:
     """Interpolate by the kernel's normalised weights (Eq. 3.15).
 
     Parameters
@@ -74,53 +70,30 @@ def shepard(
     out : (3, n_points) the fields; NaN if no source is within reach.
     """
     for i in prange(points.shape[1]):
-        xi = points[0, i]
-        yi = points[1, i]
-        norm = a = b = c = 0.0
-        first, last = rows_within(yi, yi, reach, grid)
-        for row in range(first, last):
-            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-            sums = _shepard_pairs(
-                xi,
-                yi,
-                source[0, low:high],
-                source[1, low:high],
-                source[2, low:high],
-                source[3, low:high],
-                source[4, low:high],
-                inverse_length,
-            )
-            norm += sums[0]
-            a += sums[1]
-            b += sums[2]
-            c += sums[3]
-        out[0, i] = a / norm
-        out[1, i] = b / norm
-        out[2, i] = c / norm
+        zeros = (0.0, 0.0, 0.0, 0.0)
+        place = vector_at(points, 0, i)
+        sums = over_rows(_shepard_row, zeros, place, None, source, search, None)
+        for f in range(3):
+            out[f, i] = sums[1 + f] / sums[0]
 
 
 @term
 def _add_moments(
-    xi: float,
-    yi: float,
-    x: Array,
-    y: Array,
-    first: Array,
-    second: Array,
-    third: Array,
-    inverse_length: float,
-    sums: Array,
+    place: Vector, source: Array, columns: slice, inverse_length: float, sums: Array
 ) -> None:
     """Add the moments and right-hand sides of one range of sources to `sums`."""
+    places = vector_at(source, 0, columns)
+    first = source[2, columns]
+    second = source[3, columns]
+    third = source[4, columns]
     m00 = m10 = m01 = m20 = m11 = m02 = m30 = m21 = m12 = m03 = 0.0
     m40 = m31 = m22 = m13 = m04 = 0.0
     a0 = a1 = a2 = a3 = a4 = a5 = 0.0
     b0 = b1 = b2 = b3 = b4 = b5 = 0.0
     c0 = c1 = c2 = c3 = c4 = c5 = 0.0
-    for k in range(x.size):
-        ox = (x[k] - xi) * inverse_length
-        oy = (y[k] - yi) * inverse_length
-        w = kernel(math.sqrt(ox * ox + oy * oy), 1.0)
+    for k in range(first.size):
+        ox, oy = times(inverse_length, minus(element(places, k), place))
+        w = kernel_of((ox, oy), 1.0)
         wx = w * ox
         wy = w * oy
         wxx = wx * ox
@@ -221,14 +194,7 @@ def _value_at_origin(sums: Array, factor: Array, solution: Array) -> None:
 
 @parallel
 def moving_least_squares(
-    points: Array,
-    source: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
-    scratch: Array,
-    out: Array,
+    points: Array, source: Array, search: Search, scratch: Array, out: Array
 ) -> None:
     """Interpolate by a quadratic polynomial fitted around each point (Lancaster, Salkauskas 1981).
 
@@ -245,23 +211,12 @@ def moving_least_squares(
         factor = scratch[chunk, 40:82].reshape((N_TERMS + 1, N_TERMS))
         solution = scratch[chunk, 84:87]
         for i in range(chunk * n_points // N_CHUNKS, (chunk + 1) * n_points // N_CHUNKS):
-            xi = points[0, i]
-            yi = points[1, i]
+            x, y = vector_at(points, 0, i)
             sums[:] = 0.0
-            first, last = rows_within(yi, yi, reach, grid)
+            first, last = rows_within(y, y, search)
             for row in range(first, last):
-                low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-                _add_moments(
-                    xi,
-                    yi,
-                    source[0, low:high],
-                    source[1, low:high],
-                    source[2, low:high],
-                    source[3, low:high],
-                    source[4, low:high],
-                    inverse_length,
-                    sums,
-                )
+                low, high = range_in_row(x, y, row, search)
+                _add_moments((x, y), source, slice(low, high), search.inverse_length, sums)
             _value_at_origin(sums, factor, solution)
             for f in range(3):
                 out[f, i] = solution[f]

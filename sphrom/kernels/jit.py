@@ -52,6 +52,17 @@ def term(function: Function) -> Function:
     return _kept(numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True)(function))
 
 
+def inlined(function: Function) -> Function:
+    """Compile a function by copying it into its callers, as if it were written there.
+
+    Its products are then ordered together with theirs. It may take functions and return views.
+    """
+    compiled: Function = numba.njit(
+        fastmath=FAST_MATH, error_model="numpy", nogil=True, inline="always"
+    )(function)
+    return compiled
+
+
 def parallel(function: Function) -> Function:
     """Compile a loop over particles; its `numba.prange` is divided among threads."""
     return _kept(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from numba import prange
 
 from sphrom.arrays import Array, Indices
+from sphrom.kernels.fields import BesideWalls, U, V, X, Y
 from sphrom.kernels.jit import parallel, term
-from sphrom.kernels.sweeps import U, V, X, Y
 
 
 @term
@@ -42,37 +43,34 @@ def _ramp(distance: float, zero: float, one: float) -> float:
     return min(max((distance - zero) / (one - zero), 0.0), 1.0)
 
 
+class Limits(NamedTuple):
+    """Distances from a wall at which shifting is limited [m]."""
+
+    closest: float
+    """The least allowed."""
+    touching: float
+    """At which shifting stops pushing and starts to compensate."""
+    felt: float
+    """Beyond which it is not changed."""
+    against: float
+    """Share of the velocity across a wall that is compensated, 0 to 1."""
+
+
 @term
 def shifting_change(
-    towards: float,
-    wanted: float,
-    across: float,
-    distance: float,
-    closest: float,
-    touching: float,
-    felt: float,
+    towards: float, wanted: float, across: float, distance: float, limits: Limits
 ) -> float:
     """Return the change that a wall makes to a shifting velocity towards it.
 
     `wanted` is the velocity before any wall changed it, `across` that of the fluid.
     """
-    allowed = max(wanted, 0.0) * _ramp(distance, touching, felt)
-    held = max(across, 0.0) * (1.0 - _ramp(distance, closest, touching))
+    allowed = max(wanted, 0.0) * _ramp(distance, limits.touching, limits.felt)
+    held = max(across, 0.0) * (1.0 - _ramp(distance, limits.closest, limits.touching))
     return min(towards, allowed - held) - towards
 
 
 @parallel
-def hold_back(
-    particle: Indices,
-    targets: Indices,
-    target: Array,
-    solids: Array,
-    closest: float,
-    touching: float,
-    felt: float,
-    against: float,
-    shifting: Array,
-) -> None:
+def hold_back(beside: BesideWalls, solids: Array, limits: Limits, shifting: Array) -> None:
     """Change shifting velocities so that no particle passes through a wall.
 
     Shifting never pushes towards a wall that a particle touches (compare Sun et al., Comput.
@@ -82,25 +80,21 @@ def hold_back(
 
     Parameters
     ----------
-    targets, target : the particles among the fluid's sources, and the sources.
-    closest, touching, felt : distances from a wall [m]: the least allowed; that at which shifting
-        stops pushing and starts to compensate; and that beyond which it is not changed.
-    against : share of the velocity across a wall that is compensated, 0 to 1.
     shifting : (>= 2, n_particles) rows: shifting velocity x, y [m/s].
     """
-    for t in prange(targets.size):
-        j = targets[t]
-        i = particle[j]
+    target = beside.source
+    for t in prange(beside.targets.size):
+        j = beside.targets[t]
+        i = beside.particle[j]
         for k in range(solids.shape[0]):
             wx, wy = _gap(target[X, j], target[Y, j], solids[k])
             distance = math.sqrt(wx * wx + wy * wy)
-            if distance < felt and distance > 0.0:
+            if distance < limits.felt and distance > 0.0:
                 wx /= distance
                 wy /= distance
                 towards = shifting[0, i] * wx + shifting[1, i] * wy
                 across = target[U, j] * wx + target[V, j] * wy
-                change = shifting_change(
-                    towards, towards, against * across, distance, closest, touching, felt
-                )
+                against = limits.against * across
+                change = shifting_change(towards, towards, against, distance, limits)
                 shifting[0, i] += change * wx
                 shifting[1, i] += change * wy

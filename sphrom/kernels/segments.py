@@ -15,9 +15,9 @@ from numba import prange
 
 from sphrom.arrays import Array, Indices
 from sphrom.kernels.cells import Grid
+from sphrom.kernels.fields import BesideWalls, U, V, X, Y
 from sphrom.kernels.jit import parallel, term
-from sphrom.kernels.rectangles import shifting_change
-from sphrom.kernels.sweeps import U, V, X, Y
+from sphrom.kernels.rectangles import Limits, shifting_change
 
 # Columns of a segment: its two ends, and the start of the segment before [m].
 X0, Y0, X1, Y1, X_BEFORE, Y_BEFORE = range(6)
@@ -165,31 +165,22 @@ def wall_distances(
 
 @parallel
 def hold_back(
-    particle: Indices,
-    targets: Indices,
-    target: Array,
+    beside: BesideWalls,
     segments: Array,
     listed: Indices,
     start: Indices,
     grid: Grid,
-    closest: float,
-    touching: float,
-    felt: float,
-    against: float,
+    limits: Limits,
     shifting: Array,
 ) -> None:
     """Change shifting velocities so that no particle passes a wall; see `rectangles.hold_back`.
 
     Every local nearest point of walls limits them, and all walls do so in several passes.
-
-    Parameters
-    ----------
-    targets, target : the particles among the fluid's sources, and the sources.
-    closest, touching, felt, against, shifting : see `rectangles.hold_back`.
     """
-    for t in prange(targets.size):
-        j = targets[t]
-        i = particle[j]
+    target = beside.source
+    for t in prange(beside.targets.size):
+        j = beside.targets[t]
+        i = beside.particle[j]
         x = target[X, j]
         y = target[Y, j]
         cell = cell_of(x, y, grid)
@@ -204,7 +195,7 @@ def hold_back(
                 k = listed[n] if cell >= 0 else n
                 wx, wy, where = _way(x, y, segments[k])
                 distance = math.sqrt(wx * wx + wy * wy)
-                within = where < 1.0 and distance < felt and distance > 0.0
+                within = where < 1.0 and distance < limits.felt and distance > 0.0
                 comes_nearest = within and (where > 0.0 or _is_passed(x, y, segments[k]))
                 if comes_nearest and _is_left(x, y, where, segments[k]):
                     wx /= distance
@@ -212,11 +203,9 @@ def hold_back(
                     change = shifting_change(
                         shifting[0, i] * wx + shifting[1, i] * wy,
                         wanted_x * wx + wanted_y * wy,
-                        against * (target[U, j] * wx + target[V, j] * wy),
+                        limits.against * (target[U, j] * wx + target[V, j] * wy),
                         distance,
-                        closest,
-                        touching,
-                        felt,
+                        limits,
                     )
                     shifting[0, i] += change * wx
                     shifting[1, i] += change * wy

@@ -2,7 +2,7 @@
 
 Ghosts never move: they are sorted once, separately from the fluid, and only scenes with walls run
 these sweeps. Every sweep sums over one kind of source at targets of the other kind. `source` is
-laid out as in `sphrom.kernels.sweeps`, except that ghosts have additional rows at its end.
+laid out as in `sphrom.kernels.fields`, except that ghosts have additional rows at its end.
 
 Walls enter the continuity equation in one of two ways. A ghost may contribute the difference of its
 velocity from the fluid's, along its wall's normals. Or walls return the flux into them: the
@@ -19,96 +19,30 @@ distance from the wall and U_g the wall's velocity. Shear along a flat wall is t
 
 from __future__ import annotations
 
-import math
-
 from numba import prange
 
-from sphrom.arrays import Array, Indices
-from sphrom.kernels.cells import Grid, range_in_row, rows_within
-from sphrom.kernels.jit import parallel, term
-from sphrom.kernels.sweeps import (
+from sphrom.arrays import Array
+from sphrom.kernels.cells import Search
+from sphrom.kernels.fields import (
     DENSITY,
+    DEPTH,
     OWN_PRESSURE,
     OWN_VISCOUS,
     PRESSURE,
-    TINY,
-    VISCOUS,
-    VOLUME,
+    BesideWalls,
     FluidConstants,
     RegularityConstants,
-    U,
-    V,
-    X,
-    Y,
-    shifting_push,
+    flow_at,
 )
-from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
-
-# Rows of a ghost: its depth behind the wall if velocities are extrapolated, else 0; 1 along the
-# normals of its wall that are used, else 0; w_gj V_g phi_g over W_gj.
-DEPTH, NORMAL_X, NORMAL_Y, RETURN = range(PRESSURE + 1, PRESSURE + 5)
-N_GHOST_ROWS = RETURN + 1
-
-
-@term
-def _regularity_pairs(
-    xi: float,
-    yi: float,
-    u: float,
-    v: float,
-    own_volume: float,
-    distance: float,
-    x: Array,
-    y: Array,
-    us: Array,
-    vs: Array,
-    volume: Array,
-    depth: Array,
-    normal_x: Array,
-    normal_y: Array,
-    returned: Array,
-    inverse_length: float,
-    walls_return: float,
-    amplitude: float,
-    inverse_kernel: float,
-    as_printed: float,
-) -> tuple[float, float, float, float, float, float]:
-    """Sum the pair terms of `wall_regularity` over one range of ghosts."""
-    sx = sy = dx = dy = moment = divergence = 0.0
-    for k in range(x.size):
-        ox = xi - x[k]
-        oy = yi - y[k]
-        square = ox * ox + oy * oy
-        length = math.sqrt(square)
-        weight = gradient_factor(length, inverse_length) * volume[k]
-        near = kernel(length, inverse_length)
-        push = shifting_push(near * inverse_kernel, amplitude, as_printed)
-        sx += weight * ox
-        sy += weight * oy
-        dx += push * weight * ox
-        dy += push * weight * oy
-        moment += square * laplacian_weight(square, inverse_length) * weight
-        stretch = 1.0 + depth[k] / distance
-        along_x = stretch * (us[k] - u) * ox
-        along_y = stretch * (vs[k] - v) * oy
-        divergence += (along_x * normal_x[k] + along_y * normal_y[k]) * weight - walls_return * (
-            (u * ox + v * oy) * weight + returned[k] * near / own_volume
-        )
-    return sx, sy, dx, dy, moment, divergence
+from sphrom.kernels.jit import parallel
+from sphrom.kernels.sums import ghost_force_row, over_rows, wall_rate_row, wall_regularity_row
 
 
 @parallel
 def wall_regularity(
-    particle: Indices,
-    targets: Indices,
-    target: Array,
-    distance: Array,
-    source: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
-    walls_return: float,
+    beside: BesideWalls,
+    ghosts: Array,
+    search: Search,
     constants: RegularityConstants,
     out: Array,
 ) -> None:
@@ -116,111 +50,26 @@ def wall_regularity(
 
     Parameters
     ----------
-    particle : (n_sources,) the particle of each source of the fluid.
-    targets, target : the sources that are particles near walls, and all sources of the fluid.
-    distance : (n_targets,) from the wall [m], not zero.
-    source : the ghosts' sources.
-    walls_return : 1 if walls return the flux into them, 0 if ghosts' velocities are used.
+    ghosts : the ghosts' sources.
     out : (6, n_particles) rows: sum of the kernel's gradient x, y, and of Eq. 2.14 x, y [1/m];
         the gradient's second moment; the divergence of the velocity [1/s].
     """
-    for t in prange(targets.size):
-        j = targets[t]
-        xi = target[X, j]
-        yi = target[Y, j]
-        sx = sy = dx = dy = moment = divergence = 0.0
-        first, last = rows_within(yi, yi, reach, grid)
-        for row in range(first, last):
-            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-            b = _regularity_pairs(
-                xi,
-                yi,
-                target[U, j],
-                target[V, j],
-                target[VOLUME, j],
-                distance[t],
-                source[X, low:high],
-                source[Y, low:high],
-                source[U, low:high],
-                source[V, low:high],
-                source[VOLUME, low:high],
-                source[DEPTH, low:high],
-                source[NORMAL_X, low:high],
-                source[NORMAL_Y, low:high],
-                source[RETURN, low:high],
-                inverse_length,
-                walls_return,
-                constants.amplitude,
-                constants.inverse_kernel,
-                constants.as_printed,
-            )
-            sx += b[0]
-            sy += b[1]
-            dx += b[2]
-            dy += b[3]
-            moment += b[4]
-            divergence += b[5]
-        i = particle[j]
-        out[0, i] = sx
-        out[1, i] = sy
-        out[2, i] = dx
-        out[3, i] = dy
-        out[4, i] = moment
-        out[5, i] = divergence
-
-
-@term
-def _wall_pairs(
-    xi: float,
-    yi: float,
-    u: float,
-    v: float,
-    pressure: float,
-    viscous: float,
-    distance: float,
-    x: Array,
-    y: Array,
-    us: Array,
-    vs: Array,
-    volumes: Array,
-    pressures: Array,
-    depth: Array,
-    inverse_length: float,
-    tiny: float,
-    fluid: FluidConstants,
-) -> tuple[float, float]:
-    """Sum the pair terms of `wall_rates` over one range of ghosts."""
-    stiffness = fluid.sound_speed * fluid.sound_speed
-    friction = fluid.pair_viscosity * fluid.reference_density
-    drag = 2.0 * fluid.laplacian_viscosity * fluid.reference_density * viscous
-    du = dv = 0.0
-    for k in range(x.size):
-        ox = xi - x[k]
-        oy = yi - y[k]
-        square = ox * ox + oy * oy
-        weight = gradient_factor(math.sqrt(square), inverse_length) * volumes[k]
-        stretch = 1.0 + depth[k] / distance
-        jump_u = stretch * (us[k] - u)
-        jump_v = stretch * (vs[k] - v)
-        approach = jump_u * ox + jump_v * oy
-        force = -stiffness * (pressures[k] + pressure) - friction * approach / (square + tiny)
-        pull = drag * laplacian_weight(square, inverse_length)
-        du += (force * ox - pull * jump_u) * weight
-        dv += (force * oy - pull * jump_v) * weight
-    return du, dv
+    for t in prange(beside.targets.size):
+        j = beside.targets[t]
+        i = beside.particle[j]
+        own = flow_at(beside.source, j)
+        target = own, beside.distance[t]
+        zeros = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        sums = over_rows(wall_regularity_row, zeros, own.place, target, ghosts, search, constants)
+        for f in range(6):
+            out[f, i] = sums[f]
 
 
 @parallel
 def wall_rates(
-    particle: Indices,
-    targets: Indices,
-    target: Array,
-    distance: Array,
-    source: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
+    beside: BesideWalls,
+    ghosts: Array,
+    search: Search,
     regular: Array,
     fluid: FluidConstants,
     out: Array,
@@ -234,87 +83,18 @@ def wall_rates(
 
     Parameters
     ----------
-    distance : (n_targets,) from the wall [m], not zero.
     regular : (9, n_particles) the result of `sweeps.regularity`.
     out : (2, n_particles) acceleration x, y [m/s2].
     """
-    tiny = TINY / (inverse_length * inverse_length)
-    for t in prange(targets.size):
-        j = targets[t]
-        i = particle[j]
-        xi = target[X, j]
-        yi = target[Y, j]
-        du = dv = 0.0
-        first, last = rows_within(yi, yi, reach, grid)
-        for row in range(first, last):
-            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-            b = _wall_pairs(
-                xi,
-                yi,
-                target[U, j],
-                target[V, j],
-                regular[OWN_PRESSURE, i],
-                regular[OWN_VISCOUS, i],
-                distance[t],
-                source[X, low:high],
-                source[Y, low:high],
-                source[U, low:high],
-                source[V, low:high],
-                source[VOLUME, low:high],
-                source[PRESSURE, low:high],
-                source[DEPTH, low:high],
-                inverse_length,
-                tiny,
-                fluid,
-            )
-            du += b[0]
-            dv += b[1]
-        full_density = fluid.reference_density + target[DENSITY, j]
+    for t in prange(beside.targets.size):
+        j = beside.targets[t]
+        i = beside.particle[j]
+        own = flow_at(beside.source, j)
+        target = own, beside.distance[t], regular[OWN_PRESSURE, i], regular[OWN_VISCOUS, i]
+        du, dv = over_rows(wall_rate_row, (0.0, 0.0), own.place, target, ghosts, search, fluid)
+        full_density = fluid.reference_density + beside.source[DENSITY, j]
         out[0, i] += du / full_density
         out[1, i] += dv / full_density
-
-
-@term
-def _force_pairs(
-    xg: float,
-    yg: float,
-    ug: float,
-    vg: float,
-    pressure: float,
-    depth: float,
-    x: Array,
-    y: Array,
-    us: Array,
-    vs: Array,
-    volumes: Array,
-    pressures: Array,
-    viscosities: Array,
-    distances: Array,
-    inverse_length: float,
-    tiny: float,
-    fluid: FluidConstants,
-) -> tuple[float, float, float, float]:
-    """Sum the pair terms of `ghost_forces` over one range of fluid sources."""
-    stiffness = fluid.sound_speed * fluid.sound_speed
-    friction = fluid.pair_viscosity * fluid.reference_density
-    drag = 2.0 * fluid.laplacian_viscosity * fluid.reference_density
-    px = py = sx = sy = 0.0
-    for k in range(x.size):
-        ox = x[k] - xg
-        oy = y[k] - yg
-        square = ox * ox + oy * oy
-        weight = gradient_factor(math.sqrt(square), inverse_length) * volumes[k]
-        stretch = 1.0 + depth / distances[k]
-        jump_u = stretch * (ug - us[k])
-        jump_v = stretch * (vg - vs[k])
-        push = stiffness * (pressure + pressures[k]) * weight
-        along = friction * (jump_u * ox + jump_v * oy) / (square + tiny) * weight
-        pull = drag * viscosities[k] * laplacian_weight(square, inverse_length) * weight
-        px += push * ox
-        py += push * oy
-        sx += along * ox + pull * jump_u
-        sy += along * oy + pull * jump_v
-    return px, py, sx, sy
 
 
 @parallel
@@ -322,10 +102,7 @@ def ghost_forces(
     ghost: Array,
     source: Array,
     distance: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
+    search: Search,
     fluid: FluidConstants,
     out: Array,
 ) -> None:
@@ -338,39 +115,11 @@ def ghost_forces(
     distance : (n_sources,) of the fluid from the wall [m], not zero.
     out : (4, n_ghosts) rows: pressure force x, y and viscous force x, y, per depth [N/m].
     """
-    tiny = TINY / (inverse_length * inverse_length)
     for i in prange(ghost.shape[1]):
-        x = ghost[X, i]
-        y = ghost[Y, i]
-        px = py = sx = sy = 0.0
-        first, last = rows_within(y, y, reach, grid)
-        for row in range(first, last):
-            low, high = range_in_row(x, y, row, reach, grid, cell_start)
-            b = _force_pairs(
-                x,
-                y,
-                ghost[U, i],
-                ghost[V, i],
-                ghost[PRESSURE, i],
-                ghost[DEPTH, i],
-                source[X, low:high],
-                source[Y, low:high],
-                source[U, low:high],
-                source[V, low:high],
-                source[VOLUME, low:high],
-                source[PRESSURE, low:high],
-                source[VISCOUS, low:high],
-                distance[low:high],
-                inverse_length,
-                tiny,
-                fluid,
-            )
-            px += b[0]
-            py += b[1]
-            sx += b[2]
-            sy += b[3]
-        volume = ghost[VOLUME, i]
-        out[0, i] = px * volume
-        out[1, i] = py * volume
-        out[2, i] = sx * volume
-        out[3, i] = sy * volume
+        own = flow_at(ghost, i)
+        target = own, ghost[PRESSURE, i], ghost[DEPTH, i]
+        given = fluid, distance
+        zeros = (0.0, 0.0, 0.0, 0.0)
+        sums = over_rows(ghost_force_row, zeros, own.place, target, source, search, given)
+        for f in range(4):
+            out[f, i] = sums[f] * own.volume

@@ -1,8 +1,8 @@
-"""Wendland's C2 kernel in two dimensions, with smoothing length h and support radius 2 h.
+"""Wendland's C2 kernel in two or three dimensions, with smoothing length h and support radius 2 h.
 
-W = 7 / (4 pi h^2) (1 - q/2)^4 (2 q + 1) with q = r/h (Wendland 1995). Its gradient is a factor
-times the offset, so neither needs a division by the distance. Both vanish beyond the support
-without a branch.
+W = 7 / (4 pi h^2) (1 - q/2)^4 (2 q + 1) with q = r/h in two dimensions (Wendland 1995), and
+21 / (16 pi h^3) in front in three. Its gradient is a factor times the offset, so neither needs a
+division by the distance. Both vanish beyond the support without a branch.
 """
 
 from __future__ import annotations
@@ -16,33 +16,41 @@ from sphrom.kernels.jit import parallel, term
 
 LAPLACIAN_SHAPE = 55.0 / 84.0
 """b of `laplacian_weight`, in two dimensions: the integral of q^5 (1 - q/2)^3 over that of q^7."""
+LAPLACIAN_SHAPE_IN_SPACE = 33.0 / 56.0
+"""The same in three dimensions: the integral of q^6 (1 - q/2)^3 over that of q^8."""
 
 
 @term
-def kernel(distance: float, inverse_length: float) -> float:
-    """Return W [1/m2] at a distance [m], from 1/h [1/m]."""
+def kernel(distance: float, inverse_length: float, n_dim: int = 2) -> float:
+    """Return W [m^-n] at a distance [m], from 1/h [1/m]."""
     reach = max(0.0, 1.0 - 0.5 * distance * inverse_length)
     square = reach * reach
     norm = 7.0 / (4.0 * math.pi) * inverse_length * inverse_length
+    if n_dim == 3:
+        norm *= 0.75 * inverse_length
     return norm * square * square * (2.0 * distance * inverse_length + 1.0)
 
 
 @term
-def gradient_factor(distance: float, inverse_length: float) -> float:
-    """Return F [1/m4], where the kernel's gradient is F times the offset x_i - x_j."""
+def gradient_factor(distance: float, inverse_length: float, n_dim: int = 2) -> float:
+    """Return F [m^-(n+2)], where the kernel's gradient is F times the offset x_i - x_j."""
     reach = max(0.0, 1.0 - 0.5 * distance * inverse_length)
     square = inverse_length * inverse_length
-    return -35.0 / (4.0 * math.pi) * square * square * reach * reach * reach
+    norm = -35.0 / (4.0 * math.pi) * square * square
+    if n_dim == 3:
+        norm *= 0.75 * inverse_length
+    return norm * reach * reach * reach
 
 
 @term
-def laplacian_weight(square: float, inverse_length: float) -> float:
+def laplacian_weight(square: float, inverse_length: float, n_dim: int = 2) -> float:
     """Return the weight 1 - b q^2 of F in sums for the Laplacian, at a squared distance [m2].
 
     Without the weight the sums are of second order in h, because of their fourth moment. The weight
     makes it vanish: the sums are of fourth order, and still damp waves of any length.
     """
-    return 1.0 - LAPLACIAN_SHAPE * square * inverse_length * inverse_length
+    shape = LAPLACIAN_SHAPE if n_dim == 2 else LAPLACIAN_SHAPE_IN_SPACE
+    return 1.0 - shape * square * inverse_length * inverse_length
 
 
 @parallel

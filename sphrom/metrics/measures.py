@@ -13,99 +13,94 @@ equal intervals, so that none is on the edges of a box, or twice on the two side
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.arrays import Array, Indices, Mask
+from sphrom.metrics.quantities import (
+    COEFFICIENT,
+    MEASURABLE,
+    Column,
+    component_names,
+    components,
+    is_vector,
+)
 from sphrom.metrics.series import OSCILLATION, oscillation, oscillation_beside
 
 Quantities = Mapping[str, Array]
-"""The values of one measurement, by the names in UNITS."""
+"""The values of one measurement, by the names in `MEASURABLE`."""
 
-UNITS = {
-    "force": "N/m", "torque": "N", "flow_rate": "m2/s", "velocity": "m/s", "pressure": "Pa",
-    "elevation": "m", "centre_of_mass": "m", "kinetic_energy": "J/m", "potential_energy": "J/m",
-    "coefficient": "1",
-}  # fmt: skip
-COEFFICIENT = "coefficient"
-"""The quantity that follows from a force and its scales, and is not recorded."""
-VECTORS = ("force", "velocity", "centre_of_mass", COEFFICIENT)
-"""Quantities with an axis of components, the last."""
 TORQUE = 2
 """The row of the torque, after the components of the force."""
-AXES = ("x", "y")
-"""Names of components."""
-WITH_WEIGHT = ("pressure", "force", "torque", COEFFICIENT)
-"""Quantities that hold the weight of fluid with a free surface."""
-ABOUT_MEAN = ("elevation", "centre_of_mass")
-"""Quantities whose errors are relative to how they vary over time."""
-PLACED = ("velocity", "pressure")
-"""Quantities with an axis of places."""
 TIME_TOLERANCE = 1e-9
 """Times that differ by less than this are equal [s]."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 """The Gauss rule on each piece of a section."""
 
 
-@dataclass(frozen=True)
 class FieldMeasure:
-    """The places of measured fields, and the quadrature of a flow rate."""
+    """Velocity and pressure at places.
 
-    position: Array
-    """(n_places, 2) [m]."""
-    normal: Array | None = None
-    """(n_places, 2) [m] normals times the weights of quadrature; None for fields at places."""
+    Parameters
+    ----------
+    position : (n_places, 2) [m].
+    """
 
-    @classmethod
-    def section(cls, start: Array, end: Array, longest: float) -> FieldMeasure:
-        """Return a section from start to end (2,) [m], in pieces not longer than a length [m]."""
-        way = np.subtract(end, start)
-        n_pieces = max(1, math.ceil(float(np.hypot(*way)) / longest))
-        along = (np.arange(n_pieces)[:, None] + 0.5 * (1.0 + NODES)).ravel() / n_pieces
-        share = np.tile(0.5 * WEIGHTS / n_pieces, n_pieces)
-        to_the_right = np.array([way[1], -way[0]])
-        return cls(start + along[:, None] * way, share[:, None] * to_the_right)
+    is_integral = False
+    """Whether it integrates the fields, so that its places are not of interest."""
+
+    def __init__(self, position: Array) -> None:
+        self.position = position
 
     @classmethod
-    def line(cls, start: Array, end: Array, n_places: int) -> FieldMeasure:
-        """Return equally spaced places from start to end (2,) [m], both included."""
+    def line(cls, ends: Array, n_places: int) -> FieldMeasure:
+        """Return equally spaced places between two ends (2, 2) [m], both included."""
+        start, end = ends
         along = np.linspace(0.0, 1.0, n_places)[:, None]
         return cls((1.0 - along) * start + along * end)
 
     def of(self, velocity: Array, pressure: Array) -> Quantities:
         """Return the measurement of velocity (..., n_places, 2) and pressure (..., n_places)."""
-        if self.normal is None:
-            return {"velocity": velocity, "pressure": pressure}
-        return {"flow_rate": np.sum(velocity * self.normal, axis=(-2, -1))}
+        return {"velocity": velocity, "pressure": pressure}
 
 
-def component_names(quantity: str) -> tuple[str, ...]:
-    """Return the column names of a quantity's components, such as `force_x` and `force_y`."""
-    return tuple(f"{quantity}_{axis}" for axis in AXES) if quantity in VECTORS else (quantity,)
+class SegmentMeasure(FieldMeasure):
+    """An integral along the segment between two ends (2, 2) [m], in pieces of limited length."""
+
+    is_integral = True
+
+    def __init__(self, ends: Array, longest: float) -> None:
+        start, end = ends
+        self.vector = np.subtract(end, start)
+        n_pieces = max(1, math.ceil(float(np.hypot(*self.vector)) / longest))
+        along = (np.arange(n_pieces)[:, None] + 0.5 * (1.0 + NODES)).ravel() / n_pieces
+        self.share = np.tile(0.5 * WEIGHTS / n_pieces, n_pieces)
+        super().__init__(start + along[:, None] * self.vector)
 
 
-@dataclass(frozen=True)
-class Column:
-    """The meaning of a column's values."""
+class FlowRate(SegmentMeasure):
+    """The integral of the velocity's component to the right of a segment."""
 
-    measure: str
-    """A measurement of the case; empty for fields at places of the rows."""
-    quantity: str
-    component: int | None
-    units: str
+    def __init__(self, ends: Array, longest: float) -> None:
+        super().__init__(ends, longest)
+        to_the_right = np.array([self.vector[1], -self.vector[0]])
+        self._weights = self.share[:, None] * to_the_right
 
-    @classmethod
-    def named(cls, measure: str, quantities: Iterable[str]) -> dict[str, Column]:
-        """Return the columns of a measurement by their names."""
+    def of(self, velocity: Array, pressure: Array) -> Quantities:
+        return {"flow_rate": np.sum(velocity * self._weights, axis=(-2, -1))}
+
+
+class Integral(SegmentMeasure):
+    """The integrals of velocity and pressure along a segment."""
+
+    def of(self, velocity: Array, pressure: Array) -> Quantities:
+        weights = float(np.hypot(*self.vector)) * self.share
         return {
-            "_".join(filter(None, (measure, name))): cls(
-                measure, q, k if q in VECTORS else None, UNITS[q]
-            )
-            for q in quantities
-            for k, name in enumerate(component_names(q))
+            "velocity_integral": np.sum(velocity * weights[:, None], axis=-2),
+            "pressure_integral": np.sum(pressure * weights, axis=-1),
         }
 
 
@@ -170,17 +165,6 @@ def combined(
     }
 
 
-def components(quantity: str, values: Array) -> dict[str, Array]:
-    """Return the components of values (n_snapshots, ...), by name."""
-    each = np.moveaxis(values, -1, 0) if quantity in VECTORS else (values,)
-    return dict(zip(component_names(quantity), each, strict=True))
-
-
-def parts(quantity: str, values: Array) -> dict[str, Array]:
-    """Return values (n_snapshots, ...) of a quantity and of its components, by name."""
-    return {quantity: values} | components(quantity, values)
-
-
 def items(measured: Mapping[str, Quantities], index: int | Indices) -> dict[str, Quantities]:
     """Return items along the first axis of all quantities, by measurement."""
     return {name: {q: v[index] for q, v in each.items()} for name, each in measured.items()}
@@ -210,7 +194,7 @@ def statistics(quantities: Quantities, counted: Mask) -> dict[str, Array]:
     """
     named: dict[str, Array] = {}
     for quantity, values in quantities.items():
-        for name, whole in components(quantity, values).items() if quantity in UNITS else ():
+        for name, whole in components(quantity, values).items() if quantity in MEASURABLE else ():
             named[f"{name}_last"], series = whole[:, -1], whole[:, counted]
             if counted.any():
                 each = [series.mean(1), series.std(1), series.min(1), series.max(1)]
@@ -229,7 +213,7 @@ ONLY_NOISE, DRY = "only noise", "zero above the surface at times"
 
 def mean_square(quantity: str, values: Array) -> float:
     """Return the mean square over time and places of values (n_snapshots, ...), or of vectors."""
-    squares = np.sum(values**2, axis=-1) if quantity in VECTORS else values**2
+    squares = np.sum(values**2, axis=-1) if is_vector(quantity) else values**2
     return float(squares.mean())
 
 
@@ -248,7 +232,8 @@ def variations(quantity: str, values: Array, *, with_weight: bool = False) -> di
     small. The mean square is zero if a component has only noise: a large part of it changes from
     snapshot to snapshot, or it is negligible beside the vector. So is that of a vector of noise.
     """
-    if quantity in ABOUT_MEAN or (with_weight and quantity in WITH_WEIGHT):
+    about_mean = MEASURABLE[quantity].about_mean
+    if about_mean or (with_weight and MEASURABLE[quantity].has_weight):
         values = values - values.mean(axis=0)
     sizes = mean_squares(quantity, values)
     whole = sizes[quantity]

@@ -54,10 +54,8 @@ def project(context: StageContext) -> None:
         family_of(context.case).part("project")(workspace)
 
 
-def make_operators(context: StageContext) -> None:
-    """Make bases, splines and operators from mapped full runs, without models in files."""
-    for stage in (make_basis, fit_splines, project):
-        stage(context)
+OPERATORS = make_basis, fit_splines, project
+"""The stages that make operators from mapped full runs, without models in files."""
 
 
 def train_models(context: StageContext) -> None:

@@ -41,6 +41,7 @@ class StoredRun:
         model: ReducedModelSection | None = None,
     ) -> None:
         self._workspace = workspace
+        self._case = workspace.case
         self._run = run
         self._point = point
         self._model = model
@@ -79,7 +80,7 @@ class StoredRun:
     def measured(self, name: str) -> Quantities:
         """Return a measurement of the case over time, by quantity (n_snapshots, ...)."""
         measured = {name: read_quantities(self._run, name)}
-        return with_coefficients(measured, self._workspace.case.plan.coefficients)[name]
+        return with_coefficients(measured, self._case.plan.coefficients)[name]
 
     @property
     def kinetic_energy(self) -> Array:
@@ -123,7 +124,7 @@ class StoredRun:
 
         A run that became unstable is sampled as long as there are particles near all points.
         """
-        return sample_run(self._workspace.case, self._run, points, advance, snapshots)
+        return sample_run(self._case, self._run, points, advance, snapshots)
 
 
 class ComputedRun(StoredRun):
@@ -149,4 +150,4 @@ class ComputedRun(StoredRun):
     def fields(self, snapshot: int) -> tuple[Array, Array]:
         """Return velocity (n, 2) [m/s] and pressure (n,) [Pa] on the run's own points."""
         density, velocity = self.state(snapshot)
-        return velocity, pressure_of(density, self._workspace.case.plan.sound_speed)
+        return velocity, pressure_of(density, self._case.plan.sound_speed)

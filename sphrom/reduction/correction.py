@@ -190,11 +190,11 @@ def learn_correction(
         inverse = np.linalg.inv(np.exp(-between / length))
         errors = np.einsum("jk,ksm->jsm", inverse / np.diag(inverse)[:, None], defects)
         missed[k] = np.sum(errors**2, axis=(0, 1))
-    whole = np.sum(defects**2, axis=(0, 1))
+    total = np.sum(defects**2, axis=(0, 1))
     chosen = np.zeros(defects.shape[2])
-    for modes in groups or (np.arange(len(whole)),):
+    for modes in groups or (np.arange(len(total)),):
         left = missed[:, modes].sum(axis=1)
-        if left.min() <= worthwhile * whole[modes].sum():
+        if left.min() <= worthwhile * total[modes].sum():
             chosen[modes] = lengths[left.argmin()]
     if not chosen.any():
         return None

@@ -84,9 +84,9 @@ class ErrorCalibration(Record):
         """Return the calibration at a parameter point (n_parameters,)."""
         weights, distance = interpolation_weights(self.places, place)
         logarithms = np.log(self.constants)
-        apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
+        largest = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
         # Beyond the hull of the training points the constants may keep changing.
-        share = min(1.0, distance / apart) if apart > 0.0 else 0.0
+        share = min(1.0, distance / largest) if largest > 0.0 else 0.0
         return LocalErrorCalibration(
             decay_rate=self.decay_rate,
             constants=np.exp(weights @ logarithms + share * np.ptp(logarithms, axis=0)),
@@ -131,7 +131,8 @@ class LocalErrorCalibration:
         Its snapshots have the interval of the training runs; the run may be longer.
         """
         known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
-        sizes, trained = (np.linalg.norm(each, axis=1) for each in (coordinates, self.expected))
+        sizes = np.linalg.norm(coordinates, axis=1)
+        trained = np.linalg.norm(self.expected, axis=1)
         growth = np.maximum(1.0, sizes / (trained.max() or 1.0))
         time_shares = growth[:, None] ** 2 * self.of_time
         return self._combined(known, self.changes(coordinates), time_shares)
@@ -146,8 +147,8 @@ class LocalErrorCalibration:
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])
         of_velocity = float(self.of_time[0])
-        whole = self.of_time / of_velocity if of_velocity > 0.0 else np.ones(2)
-        return self._combined(known[None], later[None], whole)[0]
+        shares = self.of_time / of_velocity if of_velocity > 0.0 else np.ones(2)
+        return self._combined(known[None], later[None], shares)[0]
 
     def _combined(self, known: Array, changes: Array, time_shares: Array) -> Array:
         by_parameters = changes[:, :1] * self.of_parameters
@@ -232,7 +233,7 @@ def output_errors(differences: Array, places: Array, averages: Array) -> OutputE
     """
     finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
     known, places = differences[finite], places[finite]
-    slow = np.stack([smoothed(each, averages) for each in known])
+    slow = np.stack([smoothed(run, averages) for run in known])
     # The sound that a start emits is the same in all runs.
     begin = slice(int(LEFT_OUT * known.shape[1]))
     slow[:, begin] = known[:, begin]
@@ -240,8 +241,8 @@ def output_errors(differences: Array, places: Array, averages: Array) -> OutputE
     noise = smoothed(np.mean((known - slow) ** 2, axis=0), around)
     if len(places) < 2:
         return OutputErrors(noise + smoothed(slow[0] ** 2, around), 0.0 * noise)
-    apart = [interpolation_variance(np.delete(places, k, 0), p) for k, p in enumerate(places)]
-    slope = np.tensordot(1.0 / np.array(apart), slow**2, 1) / len(places)
+    variances = [interpolation_variance(np.delete(places, k, 0), p) for k, p in enumerate(places)]
+    slope = np.tensordot(1.0 / np.array(variances), slow**2, 1) / len(places)
     return OutputErrors(noise, smoothed(slope, around))
 
 
@@ -286,10 +287,10 @@ def calibrate_errors(
             of_runs.append(np.log(error[some] / integral[some, None]))
         spread = sum(float(ratios.var(axis=0).sum()) * len(ratios) for ratios in of_runs)
         tried.append((spread, rate, of_runs))
-    _, rate, ratios = min(tried, key=lambda each: each[0])
+    _, rate, ratios = min(tried, key=lambda trial: trial[0])
     if not all(map(len, ratios)):
         return None
-    middle = np.stack([each.mean(axis=0) for each in ratios])
+    middle = np.stack([of_run.mean(axis=0) for of_run in ratios])
     places = places[usable]
     return ErrorCalibration(
         decay_rate=float(rate),
@@ -304,10 +305,10 @@ def calibrate_errors(
 def _factors(ratios: Sequence[Array], middle: Array, places: Array) -> Array:
     """Return the factors (2,) between the runs' constants and their predictions by other runs."""
     misses = []
-    for run, each in enumerate(ratios):
+    for run, of_run in enumerate(ratios):
         others = np.arange(len(ratios)) != run
         expected = middle[run]
         if others.any():
             expected = interpolation_weights(places[others], places[run])[0] @ middle[others]
-        misses.append(np.abs(each - expected))
+        misses.append(np.abs(of_run - expected))
     return np.asarray(np.exp(np.quantile(np.concatenate(misses), WITHIN, axis=0)))

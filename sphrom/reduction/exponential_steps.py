@@ -98,11 +98,11 @@ def _matrices(halves: Callable[[int], Array], time_step: float, n_states: int) -
     """
     reached = [halves(2 * k) for k in range(1, n_states + 1)]
     half = halves(n_states)
-    whole = reached[-1]
-    to_third, to_fourth = 4.0 * half[2] / time_step, 2.0 * whole[2] / time_step
+    end = reached[-1]
+    to_third, to_fourth = 4.0 * half[2] / time_step, 2.0 * end[2] / time_step
     # The weights of the start in the later stages, and those of stages in each other (Krogstad).
     second, third = [half[0], half[1]], [half[0], half[1] - to_third]
-    fourth = [whole[0], whole[1] - to_fourth]
+    fourth = [end[0], end[1] - to_fourth]
     stages = np.array([second, third, fourth])
     links = np.array([to_third, to_fourth])
     # The weights of the start and of the three values that give a parabola, in the states.

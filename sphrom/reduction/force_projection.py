@@ -55,7 +55,7 @@ def project_forces(
 
     def drag(ghost_drag: Array, circulation: float) -> Array:
         loads = wall.loads(ghost_drag)
-        loads[TORQUE] -= points.reference_density * circulation
+        loads[TORQUE] -= points.fluid.reference_density * circulation
         return loads
 
     def push(force: Array | None) -> Array | None:

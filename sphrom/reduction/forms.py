@@ -36,15 +36,17 @@ from sphrom.sph.fixed_points import FixedPoints, Terms
 
 @dataclass(frozen=True, kw_only=True)
 class LocalFields(Terms):
-    """Some fields at some points, with all that forms need of them.
+    """Some fields at some points, as arguments of forms.
 
     Points are the last axis here, also of the terms: products of fields are faster then.
     """
 
     rows: slice
     """The points."""
-    everywhere: Array
+    all_density: Array
     """q (n_fields, n_points) at all points [m/s]."""
+    all_velocity: Array
+    """(2, n_fields, n_points) at all points [m/s]."""
     scaled_density: Array
     """q (n_fields, n) [m/s]."""
     velocity: Array
@@ -69,7 +71,7 @@ Pairs = list[tuple[int, int]]
 
 
 class PointFields:
-    """Some fields at all points; `at` computes what forms need in blocks of points.
+    """Some fields at all points; `at` computes the arguments of forms in blocks of points.
 
     Parameters
     ----------
@@ -121,7 +123,12 @@ class PointFields:
             **{name: term for name, term in vars(terms).items() if term is not None},
         }
         turned = {name: np.ascontiguousarray(x.swapaxes(-1, -2)) for name, x in arrays.items()}
-        return LocalFields(rows=rows, everywhere=self._density.T, **turned)
+        return LocalFields(
+            rows=rows,
+            all_density=self._density.T,
+            all_velocity=self._velocity.swapaxes(1, 2),
+            **turned,
+        )
 
 
 class Part:
@@ -142,6 +149,10 @@ class Part:
     def bilinear(self, by: LocalFields, of: LocalFields) -> Array:
         """Return B of carriers and carried fields; one of the two may be a single field."""
         raise NotImplementedError
+
+    def push_of_heads(self, accelerations: Array, rows: slice) -> Array:
+        """Return K a (2, n_fields, n) at some points, of (2, n_fields, n_points) at all of them."""
+        return self.points.head_push(accelerations.swapaxes(1, 2), rows).swapaxes(1, 2)
 
     def products(self, one: LocalFields, others: LocalFields) -> Array:
         """Return S of one field with others."""
@@ -177,11 +188,8 @@ class Sound(Part):
 
     def linear(self, of: LocalFields) -> Array:
         """Return -c0 D u and -c0 G q."""
-        push = of.pressure_gradient
-        return _rows(
-            continuity=-self.sound_speed * of.divergence,
-            velocity=-self.sound_speed * (push if of.damping is None else push - of.damping),
-        )
+        push = of.pressure_gradient if of.damping is None else of.pressure_gradient - of.damping
+        return _rows(-self.sound_speed * of.divergence, -self.sound_speed * push)
 
 
 class Inertia(Part):
@@ -191,11 +199,11 @@ class Inertia(Part):
 
     def linear(self, of: LocalFields) -> Array:
         """Return -c0 D u + delta h c0 L q, and -c0 G (q - alpha h D u) - (1 + K) lambda u."""
-        push = -self.sound_speed * of.pressure_gradient
-        return _rows(
-            continuity=of.diffusion - self.sound_speed * of.divergence,
-            velocity=push if of.slowing is None else push + of.slowing,
-        )
+        velocity = -self.sound_speed * of.pressure_gradient
+        if (rate := self.points.slowing_rate) is not None:
+            velocity -= rate[of.rows] * of.velocity
+            velocity -= self.push_of_heads(rate * of.all_velocity, of.rows)
+        return _rows(of.diffusion - self.sound_speed * of.divergence, velocity)
 
     def bilinear(self, by: LocalFields, of: LocalFields) -> Array:
         """Return -q D u - u . grad q, and q G (q - alpha h D u) - u . grad u."""
@@ -242,9 +250,8 @@ class BodyForce(Part):
 
     def linear(self, of: LocalFields) -> Array:
         """Return K (q/c0 b) - q/c0 K b."""
-        push = self.points.head_push(self._force[..., None] * of.everywhere.T, of.rows)
-        push = push.swapaxes(1, 2) - self._head[:, None, of.rows] * of.scaled_density
-        return push / self.sound_speed
+        push = self.push_of_heads(self._force[:, None] * of.all_density, of.rows)
+        return (push - self._head[:, None, of.rows] * of.scaled_density) / self.sound_speed
 
 
 def parts_of(points: FixedPoints) -> dict[str, Part]:

@@ -115,11 +115,11 @@ def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], In
     n_rows = int(np.count_nonzero(np.abs(position[:, 0] - position[0, 0]) < near_first))
     n_columns = len(position) // n_rows
     shape = np.array((n_columns, n_rows))
-    place = (position - domain.lower) / domain.lengths * shape - 0.5
-    nearest = np.rint(place).astype(np.int64)
+    cells = (position - domain.lower) / domain.lengths * shape - 0.5
+    nearest = np.rint(cells).astype(np.int64)
     number = nearest[:, 1] * n_columns + nearest[:, 0]
-    near = np.abs(place - nearest) < LATTICE_TOLERANCE
-    if not (near.all() and np.array_equal(np.sort(number), np.arange(n_columns * n_rows))):
+    is_near = np.abs(cells - nearest) < LATTICE_TOLERANCE
+    if not (is_near.all() and np.array_equal(np.sort(number), np.arange(n_columns * n_rows))):
         raise ValueError("B-splines need points on a lattice, and these are not on one")
     return (n_columns, n_rows), np.argsort(number)
 

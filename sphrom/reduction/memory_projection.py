@@ -57,9 +57,9 @@ def project_memory(
         lambda: np.zeros((basis.n_modes, states.n_fields, len(pairs)))
     )
     for name, part in parts.items():
-        own = part.pairs(states.n_fields)
-        for some in blocks(len(own), BLOCK_VALUES // (9 * points.n_points)):
-            residuals = rates.residuals(part.columns(fields, own[some]))
+        used = part.pairs(states.n_fields)
+        for some in blocks(len(used), BLOCK_VALUES // (9 * points.n_points)):
+            residuals = rates.residuals(part.columns(fields, used[some]))
             for other, changing in parts.items():
                 factor = factors[name] + factors[other]
                 total = sums[factor.count(AMPLITUDE), factor.count(VISCOSITY)][..., some]

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, Tensors, dataset, part
 from sphrom.metrics.measures import Quantities
+from sphrom.metrics.quantities import FROM_FIELDS, stored
 from sphrom.reduction.affine import AMPLITUDE, VISCOSITY, Affine, Factor, factor_of
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOUS, WALLS, Polynomial
@@ -135,12 +136,12 @@ class ReducedForce(Record):
     def _parts(self, walls_driven: bool) -> Iterator[tuple[Factor, Tensors]]:
         """Yield the six loads by part: factors of the terms, and of products of coordinates."""
         balance = self.balance
-        whole = np.diag(np.zeros(3) if balance is None else balance.follows.astype(float))
+        balancing = np.diag(np.zeros(3) if balance is None else balance.follows.astype(float))
         none = np.zeros((3, 3))
         # A pressure force by the balance of momentum is the whole force less the viscous one.
-        pressure = np.vstack((np.eye(3) - whole, none))
-        viscous = np.vstack((-whole, np.eye(3)))
-        balanced = np.vstack((whole, none))
+        pressure = np.vstack((np.eye(3) - balancing, none))
+        viscous = np.vstack((-balancing, np.eye(3)))
+        balanced = np.vstack((balancing, none))
         onto = {
             "pressure": pressure, "body_force": pressure, "force": pressure,
             "viscous": viscous, "walls": viscous,
@@ -182,13 +183,14 @@ class TimedLoads:
 
         After the last time it is constant: the mean of the later half.
         """
-        whole, after = loads[:, :6] + loads[:, 6:], 2.0 * time[-1] - time[-2]
-        mean = whole[len(whole) // 2 :].mean(axis=0)
-        return cls(np.append(time, after), np.vstack((whole, mean)))
+        total = loads[:, :6] + loads[:, 6:]
+        after = 2.0 * time[-1] - time[-2]
+        mean = total[len(total) // 2 :].mean(axis=0)
+        return cls(np.append(time, after), np.vstack((total, mean)))
 
     def at(self, time: Array) -> Array:
         """Return the loads (n_times, 6) at times [s]."""
-        return np.stack([np.interp(time, self.time, each) for each in self.loads.T], axis=1)
+        return np.stack([np.interp(time, self.time, load) for load in self.loads.T], axis=1)
 
 
 @dataclass(frozen=True)
@@ -238,20 +240,8 @@ Measuring = Callable[[Array, Array], Mapping[str, Quantities]]
 class ReducedMeasure(Record):
     """A measurement in the fluid, linear in the same terms as forces."""
 
-    flow_rate: Array | None = dataset(
-        "term", "m2/s, of the terms", "flow through a section", default=None
-    )
-    velocity: Array | None = dataset(
-        "place component term", "m/s, of the terms", "velocity at places", default=None
-    )
-    pressure: Array | None = dataset(
-        "place term", "Pa, of the terms", "pressure at places", default=None
-    )
-
-    @property
-    def quantities(self) -> Quantities:
-        """The factors of the terms (..., n_terms), by quantity."""
-        return {name: terms for name, terms in vars(self).items() if terms is not None}
+    quantities: Mapping[str, Array] = stored(FROM_FIELDS, after="term", units="{}, of the terms")
+    """The factors of the terms (..., n_terms), by quantity."""
 
     def of_modes(self, modes: NDArray[np.int64]) -> ReducedMeasure:
         """Return the measurement for coordinates of some modes, with the others zero."""
@@ -285,15 +275,15 @@ def project_measures(
     density, velocity = fields[..., 0] / product.density_scale, fields[..., 1:]
     density[0] = product.density_fluctuation(density[0])
     density[1] = 1.0
-    columns = [measured(*each) for each in zip(density, velocity, strict=True)]
+    columns = list(map(measured, density, velocity))
     offset = measured(0.0 * density[0], velocity[0])
     linear = np.arange(len(columns)) > 0
 
     def terms(name: str, quantity: str) -> Array:
-        values = np.stack([each[name][quantity] for each in columns], -1)
+        values = np.stack([column[name][quantity] for column in columns], -1)
         return np.asarray(values - np.multiply.outer(offset[name][quantity], linear))
 
     return {
-        name: ReducedMeasure(**{quantity: terms(name, quantity) for quantity in first})
+        name: ReducedMeasure(quantities={quantity: terms(name, quantity) for quantity in first})
         for name, first in offset.items()
     }

@@ -195,10 +195,10 @@ def unpack(coefficients: Array, n_modes: int) -> Tensors:
     rest = coefficients
     while rest.shape[1]:
         index, times = _exponents(n_modes, len(tensors))
-        own, rest = np.split(rest, [times.size], axis=1)
-        tensor = np.zeros((len(own), *(n_modes,) * len(index)))
+        columns, rest = np.split(rest, [times.size], axis=1)
+        tensor = np.zeros((len(columns), *(n_modes,) * len(index)))
         for axes in permutations(index):
-            tensor[:, *axes] = own.reshape(tensor[:, *axes].shape) / times
+            tensor[:, *axes] = columns.reshape(tensor[:, *axes].shape) / times
         tensors.append(tensor)
     return tuple(tensors)
 
@@ -262,8 +262,8 @@ class _Parts(Record):
             name: drive(**{part: by_part.get(f"{part}/{name}") for part in fields_of_record(drive)})
             for name in parameters
         }
-        own = {name: x for name, x in by_part.items() if name in FACTORS}
-        return cls(**own, drives=drives, **others)
+        alone = {name: x for name, x in by_part.items() if name in FACTORS}
+        return cls(**alone, drives=drives, **others)
 
     @property
     def by_part(self) -> dict[str, Any]:
@@ -378,12 +378,8 @@ class ResidualFactor(_Parts):
             parts.append(np.concatenate((columns[:, used], others[:, used])))
         triangle = np.linalg.qr(np.hstack(parts), mode="r")
         ends = np.cumsum([part.shape[1] for part in parts])
-        folded = np.split(triangle, ends[:-1], axis=1)
-        return self.of_parts(
-            dict(zip(self.by_part, folded, strict=True)),
-            self.drives,
-            walls_driven=self.walls_driven,
-        )
+        folded = dict(zip(self.by_part, np.split(triangle, ends[:-1], axis=1), strict=True))
+        return self.of_parts(folded, self.drives, walls_driven=self.walls_driven)
 
     def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> tuple[Array, ...]:
         """Return F (n_directions, n_monomials) by power of the amplitude."""

@@ -77,26 +77,25 @@ class ReferenceMap:
         Raises TooFewParticlesError if those near a point are too few or determine no polynomial.
         """
         reach = SUPPORT_RATIO * self.smoothing_length
-        near = sort_sources(position.T, self.domain, reach, self.particle_spacing)
-        source = np.empty((5, near.particle.size))
-        source[:2] = position.T[:, near.particle] + near.image
-        source[2] = density_fluctuation[near.particle]
-        source[3:] = velocity.T[:, near.particle]
+        sources = sort_sources(position.T, self.domain, reach, self.particle_spacing)
+        source = np.empty((5, sources.particle.size))
+        source[:2] = position.T[:, sources.particle] + sources.image
+        source[2] = density_fluctuation[sources.particle]
+        source[3:] = velocity.T[:, sources.particle]
         out = np.empty((3, self._points.shape[1]))
-        inverse_length = 1.0 / self.smoothing_length
-        search = (self._points, source, near.grid, near.cell_start, reach, inverse_length)
+        search = sources.search(reach, self.smoothing_length)
         if self.method == "mls":
-            interpolation.moving_least_squares(*search, self._scratch, out)
+            interpolation.moving_least_squares(self._points, source, search, self._scratch, out)
         else:
-            interpolation.shepard(*search, out)
+            interpolation.shepard(self._points, source, search, out)
         if self._filled is not None:
             share = self._filled(position, density_fluctuation)
             edge = np.flatnonzero((share >= HALF) & (share < FULL))
             n_near = min(N_NEAR, len(position))
-            near = cKDTree(position).query(self._points.T[edge], np.arange(1, n_near + 1))[1]
-            own = np.stack((density_fluctuation, *velocity.T))[:, near]
-            low = own.min(axis=2)
-            high = own.max(axis=2)
+            nearest = cKDTree(position).query(self._points.T[edge], np.arange(1, n_near + 1))[1]
+            around = np.stack((density_fluctuation, *velocity.T))[:, nearest]
+            low = around.min(axis=2)
+            high = around.max(axis=2)
             low[0] = np.minimum(low[0], 0.0)
             high[0] = np.maximum(high[0], 0.0)
             out[:, edge] = np.clip(out[:, edge], low, high)

@@ -104,39 +104,39 @@ def stokes_fields(
         still = diags_array(strip.astype(float))
         smooth = smooth + weight * _squares(still @ stream.of(0, 1), still @ stream.of(1, 0))
     small = REGULARIZATION * size * eye_array(held.shape[0])
-    whole = (dissipation + smooth + weight * held + small).tocsc()
+    system = (dissipation + smooth + weight * held + small).tocsc()
     # Symmetric and positive definite: ordered for sparse factors, without pivoting.
     symmetric = {"SymmetricMode": True}
-    solved = splu(whole, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+    solved = splu(system, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
     fields = {}
     for name in names:
-        own = wall == domain.wall_names.index(name)
+        moving = wall == domain.wall_names.index(name)
         motions = np.zeros((3, 2, len(ghosts)))
-        x, y = domain.arms(name, on_wall[own]).T
-        motions[0, 0, own] = motions[1, 1, own] = 1.0
-        motions[2][:, own] = -y, x
+        x, y = domain.arms(name, on_wall[moving]).T
+        motions[0, 0, moving] = motions[1, 1, moving] = 1.0
+        motions[2][:, moving] = -y, x
         wanted = motions.reshape(3, -1).T
         coefficients = solved.solve(weight * (at_walls.T @ wanted))
-        wrong = (at_walls @ coefficients - wanted).reshape(2, -1, 3)[:, own]
-        through = np.sum(np.einsum("dgm,gd->gm", wrong, normal[own]) ** 2, axis=0)
+        wrong = (at_walls @ coefficients - wanted).reshape(2, -1, 3)[:, moving]
+        through = np.sum(np.einsum("dgm,gd->gm", wrong, normal[moving]) ** 2, axis=0)
         follows = through < LEAK**2 * np.sum(motions**2, axis=(1, 2))
         if strip is not None:  # no wall's motion is possible there
             follows &= not np.any(strip[beside] & (behind == domain.wall_names.index(name)))
-        if own.any():
+        if moving.any():
             # Normals beside the fluid belong to sides; those behind a corner do not.
             others = beside[behind != domain.wall_names.index(name)]
             foot = position[others] - depth[others, None] * inward[others]
-            apart, nearest = KDTree(on_wall[own]).query(foot)
-            moved = motions[..., np.flatnonzero(own)[nearest]]
+            distance, nearest = KDTree(on_wall[moving]).query(foot)
+            moved = motions[..., np.flatnonzero(moving)[nearest]]
             lifted = np.abs(np.einsum("mdg,gd->mg", moved, inward[others]))
-            follows &= lifted[:, apart < TOUCHING * spacing].max(axis=1, initial=0.0) < LEAK
+            follows &= lifted[:, distance < TOUCHING * spacing].max(axis=1, initial=0.0) < LEAK
         fields[name] = StokesFields(follows, *stream.fields(coefficients))
     return fields
 
 
 def _squares(*rows: csr_array) -> csr_array:
     """Return the matrix of the sum of squares of `rows` times coefficients."""
-    return sum(each.T @ each for each in rows)
+    return sum(matrix.T @ matrix for matrix in rows)
 
 
 class _Stream:

@@ -20,11 +20,12 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, part
-from sphrom.metrics.measures import Quantities
-from sphrom.reduction.calibration import Calibration, CycleClosure, Harmonics, TrainedCycles
+from sphrom.metrics.quantities import FROM_FIELDS, OF_WALLS, stored
+from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import PLACES, Correction
 from sphrom.reduction.error_calibration import ErrorCalibration
 from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.limit_cycles import CycleClosure, Harmonics, TrainedCycles
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import (
     MemoryOperators,
@@ -67,7 +68,7 @@ class TrainedRates(Record):
     def closure(self) -> Calibration | CycleClosure | None:
         """The terms that training runs add to the rates."""
         if self.cycles is not None:
-            return self.cycles.closure(self.operators)
+            return CycleClosure(self.operators, self.cycles)
         return self.calibration
 
     @cached_property
@@ -135,26 +136,9 @@ class HeldOutRuns(Record):
 class Differences(Record):
     """The errors of a measurement in held-out training runs."""
 
-    flow_rate: Array | None = dataset(
-        "held_out_run snapshot", "m2/s", f"flow rate {_DIFFERENCE}", default=None
+    quantities: Mapping[str, Array] = stored(
+        (*FROM_FIELDS, *OF_WALLS), "held_out_run snapshot", meaning=f"{_DIFFERENCE}: {{}}"
     )
-    velocity: Array | None = dataset(
-        "held_out_run snapshot place component", "m/s", f"velocity {_DIFFERENCE}", default=None
-    )
-    pressure: Array | None = dataset(
-        "held_out_run snapshot place", "Pa", f"pressure {_DIFFERENCE}", default=None
-    )
-    force: Array | None = dataset(
-        "held_out_run snapshot component", "N/m", f"force {_DIFFERENCE}", default=None
-    )
-    torque: Array | None = dataset(
-        "held_out_run snapshot", "N", f"torque {_DIFFERENCE}", default=None
-    )
-
-    @property
-    def quantities(self) -> Quantities:
-        """The stored errors (n_runs, n_snapshots, ...) by quantity."""
-        return {name: values for name, values in vars(self).items() if values is not None}
 
 
 class TrainedErrors(Record):

@@ -128,9 +128,8 @@ def _measure_captions(case: Case) -> dict[str, str]:
     """Return the captions of the figures of measurements, by the prefix of their file names."""
     captions = {}
     for name, measured in case.scene.recorded.items():
-        kind = "force" if measured.force_on is not None else "measure"
-        axis = "along the line at the end" if measured.line is not None else "over time"
-        captions[f"{kind}-{name}"] = f"{name}, {axis}: full and reduced runs."
+        axis = "over time" if measured.quantities else "along the line at the end"
+        captions[f"{measured.folder}-{name}"] = f"{name}, {axis}: full and reduced runs."
     return captions
 
 

@@ -14,7 +14,6 @@ from sphrom.arrays import Array
 from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
 from sphrom.metrics.series import hat
@@ -63,16 +62,7 @@ def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[
 def field_measures(case: Case) -> dict[str, FieldMeasure]:
     """Return the places and sections of measured fields, by name of the measurement."""
     spacing = case.plan.particle_spacing
-    return {name: _measure(m, spacing) for name, m in case.scene.measured_fields.items()}
-
-
-def _measure(section: MeasureSection, spacing: float) -> FieldMeasure:
-    if section.segment is None:
-        return FieldMeasure(np.array([section.probe]))
-    start, end = np.array(section.segment)
-    if section.line is not None:
-        return FieldMeasure.line(start, end, section.line.points)
-    return FieldMeasure.section(start, end, longest=spacing)
+    return {name: m.fields(spacing) for name, m in case.scene.measured_fields.items()}
 
 
 def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:
@@ -121,9 +111,13 @@ def output_times_of(
     largest = case.plan.largest_values
     beyond = np.divide(values, largest, out=np.ones_like(largest), where=largest > 0.0)
     norm = np.linalg.norm(states, axis=1).max() * max(1.0, beyond.max())
-    trained = case.plan.recorded_time
-    times = (steps.n_snapshots, steps.start_time)
-    return OutputTimes(steps.snapshot_interval, *times, MOST_GROWTH * float(norm), trained)
+    return OutputTimes(
+        interval=steps.snapshot_interval,
+        n_snapshots=steps.n_snapshots,
+        start_time=steps.start_time,
+        largest_norm=MOST_GROWTH * float(norm),
+        trained=case.plan.recorded_time,
+    )
 
 
 def scaled_parameters(case: Case, points: Sequence[ParameterPoint]) -> Array:
@@ -148,6 +142,6 @@ def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
     trained = case.plan.bases[basis]
     if point in trained:
         return "trained"
-    places = scaled_parameters(case, trained), scaled_parameters(case, [point])[0]
-    _, distance = interpolation_weights(*places)
+    place = scaled_parameters(case, [point])[0]
+    _, distance = interpolation_weights(scaled_parameters(case, trained), place)
     return "extrapolated" if distance > 0.0 else "predicted"

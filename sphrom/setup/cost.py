@@ -88,16 +88,16 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     n_learnt = len(plan.train_points) * n_snapshots
     least = decomposition_bytes(n_learnt, smallest_block(n_learnt))
     # If the limit allows it, all points form one block.
-    whole = min(decomposition_bytes(n_learnt, number), decomposition_ram_limit())
-    copies = max(least, whole) / BYTES + (MODE_COPIES - 1) * modes + kept
+    at_once = min(decomposition_bytes(n_learnt, number), decomposition_ram_limit())
+    copies = max(least, at_once) / BYTES + (MODE_COPIES - 1) * modes + kept
     found["pod"] = Need(_ram(copies), BYTES * (kept + 6 * number), ("pod.h5",))
     if plan.reference_bases:
         found["operators"] = Need(_ram(_operators(case)))
     written = 0
     for model in case.rom:
-        each = 0 if model.from_operators else trajectory
-        each += number * (4 * n_snapshots + 2) * (model.output == "snapshots")
-        written += BYTES * each * sum(p in at for p in plan.rom_points(model))
+        per_run = 0 if model.from_operators else trajectory
+        per_run += number * (4 * n_snapshots + 2) * (model.output == "snapshots")
+        written += BYTES * per_run * sum(p in at for p in plan.rom_points(model))
     slow = any(not model.from_operators for model in case.rom)
     found["rom"] = Need(_ram(run * slow), written, ("rom-*.h5",), passing * slow)
     return found
@@ -193,34 +193,36 @@ def run(context: StageContext) -> None:
     Raises ResourceError if it does not fit this machine.
     """
     case = context.case
-    for point in case.plan.points:
-        context.report.info(described_run(case, point))
-    _describe_shape(case, context.report)
-    if (own := case.plan.max_speed / case.fluid.mach_number) < case.plan.sound_speed:
-        change = case.plan.largest_head / case.plan.sound_speed**2
-        cause = max(case.plan.heads, key=lambda name: case.plan.heads[name])
-        context.report.info(
-            f"c0 is {case.plan.sound_speed:.4g} m/s, not U_max / Ma = {own:.4g}: {cause} "
+    plan = case.plan
+    report = context.report
+    for point in plan.points:
+        report.info(described_run(case, point))
+    _describe_shape(case, report)
+    if (usual := plan.max_speed / case.fluid.mach_number) < plan.sound_speed:
+        change = plan.largest_head / plan.sound_speed**2
+        cause = max(plan.heads, key=lambda name: plan.heads[name])
+        report.info(
+            f"c0 is {plan.sound_speed:.4g} m/s, not U_max / Ma = {usual:.4g}: {cause} "
             f"then changes the density by about {change:.0%} at most"
         )
     for warning in () if case.training.ranges else few_snapshots(case):  # train makes more runs
-        context.report.warn(warning)
-    describe_cost(case, context.report)
-    _describe_sweep(case, context.report)
+        report.warn(warning)
+    describe_cost(case, report)
+    _describe_sweep(case, report)
     require_room(case, context.out)
 
 
 def described_run(case: Case, point: ParameterPoint) -> str:
     """Return the sizes of one full run in words."""
     plan = case.plan
-    fluid = case.plan.fluid(point)
-    limits = case.plan.step_limits(point)
+    fluid = plan.fluid(point)
+    limits = plan.step_limits(point)
     ghosts = f" and {plan.n_ghosts} ghosts" if plan.n_ghosts else ""
     spin_up = plan.steps.n_spin_up_steps
     step = plan.steps.time_step
     before = f" after {counted(spin_up, 'step')} to spin up" if spin_up else ""
-    shares = {"acoustic": limits.acoustic, "viscous": limits.viscous}
-    of_limits = ", ".join(f"{step / each:.2g} of the {name} limit" for name, each in shares.items())
+    known = {"acoustic": limits.acoustic, "viscous": limits.viscous}
+    of_limits = ", ".join(f"{step / most:.2g} of the {name} limit" for name, most in known.items())
     layer, thin = case.scene.length_scale / math.sqrt(point.reynolds), ""
     no_slip = case.scene.domain.has_walls and not case.scene.free_slip
     if no_slip and layer < plan.particle_spacing:
@@ -236,7 +238,8 @@ def described_run(case: Case, point: ParameterPoint) -> str:
 def _describe_shape(case: Case, report: Reporter) -> None:
     """Print the area of the fluid, and the width of its narrowest places in support radii."""
     domain = case.scene.domain
-    support = SUPPORT_RATIO * case.plan.smoothing_length
+    plan = case.plan
+    support = SUPPORT_RATIO * plan.smoothing_length
     widths = {
         "narrowest gap" if domain.has_walls else "shortest period": domain.narrowest_gap,
         "thinnest solid": domain.thinnest_solid,
@@ -246,9 +249,9 @@ def _describe_shape(case: Case, report: Reporter) -> None:
         for name, width in widths.items()
         if math.isfinite(width)
     ]
-    filled = case.plan.n_particles * case.plan.particle_spacing**2
+    filled = plan.n_particles * plan.particle_spacing**2
     area = filled if case.scene.has_surface else domain.area
-    x, y = domain.pitches(case.plan.particle_spacing)
+    x, y = domain.pitches(plan.particle_spacing)
     uneven = [f"particles {x:.4g} m apart along x and {y:.4g} m along y fit its sides"] * (x != y)
     report.info("; ".join((f"the fluid's area is {area:.4g} m2", *uneven, *described)))
 

@@ -14,7 +14,7 @@ from sphrom.errors import CaseError
 from sphrom.plots import panels
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.domain import SIDES, Domain, Walls
+from sphrom.sph.domain import SIDES, Domain, Walls, lattice_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,8 +107,7 @@ def solids_within(domain: Domain, frame: panels.Extent) -> panels.Solids:
     nx, ny = (max(2, round(length / width)) for length in (right - left, upper - lower))
     x = np.linspace(left, right, nx)
     y = np.linspace(lower, upper, ny)
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return x, y, domain.distance_and_normal(points)[0].reshape(ny, nx)
+    return x, y, domain.distance_and_normal(lattice_points(x, y))[0].reshape(ny, nx)
 
 
 def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
@@ -133,21 +132,21 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: panels.Solids, arr
         if not len(mine):
             continue
         # The name is in the middle of the wall's ghosts, or at the ghost nearest to it.
-        middle = walls.position[mine].mean(axis=0)
+        ghosts = walls.position[mine]
+        middle = ghosts.mean(axis=0)
         if domain.contains(middle[None])[0] or domain.nearest_wall(middle[None])[0] != index:
-            away = np.sum((walls.position[mine] - middle) ** 2, axis=1)
-            middle = walls.position[mine[np.argmin(away)]]
-        first = mine[surface[mine]]
-        own = float(speed[first].max(initial=0.0))
-        text, colour = (f"{name}, {own:.3g} m/s", MOVING) if own else (name, panels.INK)
-        (x, y), turned = middle, 90.0 if name in SIDES[0] else 0.0
-        axes.text(x, y, text, color=colour, rotation=turned, **CENTRED)
-        if own:
-            some = first[:: -(-len(first) // MOST_ARROWS)]
-            place = domain.on_wall(walls.position[some])
-            way = walls.velocity[some]
+            middle = ghosts[np.argmin(np.sum((ghosts - middle) ** 2, axis=1))]
+        beside_fluid = mine[surface[mine]]
+        largest = float(speed[beside_fluid].max(initial=0.0))
+        text, colour = (f"{name}, {largest:.3g} m/s", MOVING) if largest else (name, panels.INK)
+        turned = 90.0 if name in SIDES[0] else 0.0
+        axes.text(middle[0], middle[1], text, color=colour, rotation=turned, **CENTRED)
+        if largest:
+            shown = beside_fluid[:: -(-len(beside_fluid) // MOST_ARROWS)]
+            place = domain.on_wall(walls.position[shown])
+            arrows = arrow / fastest * walls.velocity[shown]
             label = f"velocity of walls, at most {fastest:.3g} m/s"
-            _draw_arrows(axes, place, arrow / fastest * way, MOVING, label)
+            _draw_arrows(axes, place, arrows, MOVING, label)
 
 
 def _draw_arrows(axes: Axes, place: Array, way: Array, colour: str, label: str = "") -> None:
@@ -160,19 +159,15 @@ def _draw_arrows(axes: Axes, place: Array, way: Array, colour: str, label: str =
 
 def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
     """Draw porous bodies, the strip of an inflow with an arrow [m] along it, and a level."""
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path as Outline
+    from shapely.plotting import plot_polygon  # late, because it loads matplotlib
 
     domain = case.scene.domain
     strip = case.plan.strip
     level = case.scene.level_at()
-    look: Any = {"alpha": 0.35, "lw": 0.0, "zorder": 3}
+    look: Any = {"add_points": False, "alpha": 0.35, "linewidth": 0.0, "zorder": 3}
     for name, section in getattr(case.scene, "porous", {}).items():
-        # Holes turn the other way than the outlines around them.
-        shape = shapely.normalize(section.geometry())
-        rings = shapely.get_rings(shapely.get_parts(shape))
-        path = Outline.make_compound_path(*(Outline(ring.coords) for ring in rings))
-        axes.add_patch(PathPatch(path, color=panels.COLOURS[4], label="porous bodies", **look))
+        shape = section.geometry()
+        plot_polygon(shape, axes, color=panels.COLOURS[4], label="porous bodies", **look)
         point = shape.representative_point()
         axes.text(point.x, point.y, name, **CENTRED)
     if strip is not None:
@@ -180,14 +175,14 @@ def _draw_in_fluid(axes: Axes, case: Case, arrow: float) -> None:
         high = np.array(domain.upper)
         low[strip.axis] = strip.start
         high[strip.axis] = strip.end
-        corners = shapely.get_coordinates(shapely.box(*low, *high)).T
-        axes.fill(*corners, color=panels.COLOURS[2], label="strip of the inflow", **look)
-        centre = shapely.box(*low, *high).intersection(domain.fluid).representative_point()
+        box = shapely.box(*low, *high)
+        plot_polygon(box, axes, color=panels.COLOURS[2], label="strip of the inflow", **look)
+        centre = box.intersection(domain.fluid).representative_point()
         middle = shapely.get_coordinates(centre)[0]
-        way = np.where(np.arange(2) == strip.axis, np.copysign(arrow, strip.speed), 0.0)
-        _draw_arrows(axes, (middle - 0.5 * way)[None], way[None], panels.COLOURS[2])
-        beside: Any = {"xytext": (0.0, 12.0), "textcoords": "offset points", **CENTRED}
-        axes.annotate(f"inflow, at most {abs(strip.speed):.3g} m/s", middle, **beside)
+        along = np.where(np.arange(2) == strip.axis, np.copysign(arrow, strip.speed), 0.0)
+        _draw_arrows(axes, (middle - 0.5 * along)[None], along[None], panels.COLOURS[2])
+        offset: Any = {"xytext": (0.0, 12.0), "textcoords": "offset points", **CENTRED}
+        axes.annotate(f"inflow, at most {abs(strip.speed):.3g} m/s", middle, **offset)
     if np.isfinite(level):
         ends, label = (domain.lower[0], domain.upper[0]), f"level, y = {level:.4g} m"
         axes.plot(ends, (level, level), color=panels.INK, ls="--", lw=1.2, label=label)
@@ -214,17 +209,15 @@ def _draw_compared(axes: Axes, case: Case) -> None:
 def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
     """Draw probes, lines and sections; an arrow [m] shows the positive direction of flow."""
     for name, measure in case.scene.measured_fields.items():
-        ends = np.array(measure.segment or (measure.probe,) * 2)
+        ends = np.array(measure.ends)
         middle = ends.mean(axis=0)
         dx, dy = ends[1] - ends[0]
-        if measure.segment is None:
-            look: dict[str, Any] = {"marker": "o", "ls": "none", "ms": 6.0, "label": "probes"}
-        elif measure.flow_rate is None:
-            look = {"ls": "-.", "lw": 1.8, "label": "lines"}
-        else:
-            look = {"ls": "-", "lw": 1.8, "label": "sections"}
-            way = arrow * np.array([[dy, -dx]]) / np.hypot(dx, dy)
-            _draw_arrows(axes, middle[None], way, MEASURED)
-        axes.plot(*ends.T, **look, color=MEASURED, zorder=5)
-        beside: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
-        axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **beside)
+        look: dict[str, Any] = {"ls": "-" if measure.is_flow else "-.", "lw": 1.8}
+        if not np.hypot(dx, dy):
+            look = {"marker": "o", "ls": "none", "ms": 6.0}
+        if measure.is_flow:
+            flow = arrow * np.array([[dy, -dx]]) / np.hypot(dx, dy)
+            _draw_arrows(axes, middle[None], flow, MEASURED)
+        axes.plot(*ends.T, **look, label=measure.title, color=MEASURED, zorder=5)
+        offset: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
+        axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **offset)

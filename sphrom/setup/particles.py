@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.case.measure_sections import ElevationMeasure
 from sphrom.case.models import Case
 from sphrom.case.plan_flows import BEYOND
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.elevation import Filled, Filling, columns_of, lowest_surface
-from sphrom.metrics.measures import VECTORS, FieldMeasure, Quantities
+from sphrom.metrics.measures import FieldMeasure, FlowRate, Quantities
+from sphrom.metrics.quantities import is_vector
 from sphrom.metrics.series import kinetic_energy
 from sphrom.reduction.reference_space import ReferenceMap, TooFewParticlesError
 from sphrom.scenes.flows import Scene
@@ -133,16 +136,15 @@ def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
     ghosts = walls(case, at_rest)
     forcings = {}
     for name, flow in per_unit.items():
-        velocity = force = None
+        velocity = force = np.zeros(0)
         if ghosts is not None:
             velocity = flow.wall_velocity(ghosts.position) - ghosts.velocity
         if flow.body_force is not None and at_rest.body_force is not None:
-            of_flow = flow.body_force.field
-            of_rest = at_rest.body_force.field
-            force = of_flow(position.T) - of_rest(position.T)
-        some = [part if part is not None and part.any() else None for part in (velocity, force)]
-        if any(part is not None for part in some):
-            forcings[name] = UnitForcing(*some)
+            force = flow.body_force.field(position.T) - at_rest.body_force.field(position.T)
+        if velocity.any() or force.any():
+            forcings[name] = UnitForcing(
+                velocity if velocity.any() else None, force if force.any() else None
+            )
     return forcings
 
 
@@ -175,8 +177,10 @@ def filled(case: Case, points: Array) -> Filled:
     if n_solids := len(domain.solid_names):
         ghosts = domain.ghosts(spacing, case.plan.n_wall_layers)
         solid = ghosts.position[ghosts.wall >= len(domain.wall_names) - n_solids]
-    box, radius = (domain.lower, domain.upper), SUPPORT_RATIO * case.plan.smoothing_length
-    filling = Filling(points, radius, *box, domain.periodic, solid, spacing**2)
+    radius = SUPPORT_RATIO * case.plan.smoothing_length
+    filling = Filling(
+        points, radius, domain.lower, domain.upper, domain.periodic, solid, spacing**2
+    )
     density = case.fluid.reference_density
     mass = case.plan.mass
     return lambda position, excess: filling(position, volume_of(excess, density, mass))
@@ -212,8 +216,8 @@ class MeasuredFields:
         distance, normal = case.scene.domain.distance_and_normal(places)
         spacing = case.plan.particle_spacing
         at_rest, per_unit = case.plan.rest_and_units
-        integrals = [np.full(len(m.position), m.normal is not None) for m in measures.values()]
-        near = self._near = np.flatnonzero((distance < spacing) & ~np.concatenate(integrals))
+        flows = [np.full(len(m.position), isinstance(m, FlowRate)) for m in measures.values()]
+        near = self._near = np.flatnonzero((distance < spacing) & ~np.concatenate(flows))
         on_walls = places[near] - distance[near, None] * normal[near]
         beyond = on_walls - BEYOND * spacing * normal[near]
         self._walls = at_rest.wall_velocity(beyond)
@@ -255,11 +259,12 @@ class MeasuredFields:
         pressure = pressure_of(density_fluctuation, self._sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
         corrected[self._near] += self._share * (self._walls - corrected[ends[-1] :])
-        # The remaining positions are on walls.
-        parts = zip(*(np.split(each, ends)[:-1] for each in (corrected, pressure)), strict=True)
+        # The positions after those of the last measurement are on walls.
+        velocities = np.split(corrected, ends)
+        pressures = np.split(pressure, ends)
         return {
-            name: measure.of(*part)
-            for (name, measure), part in zip(self.measures.items(), parts, strict=True)
+            name: measure.of(velocities[n], pressures[n])
+            for n, (name, measure) in enumerate(self.measures.items())
         }
 
 
@@ -281,9 +286,10 @@ class MeasuredParticles:
         self._heights = np.linspace(self._rest, top, n_heights)
         if self._surface and math.isfinite(scene.level_at(values)):
             self._rest = float(scene.fill(spacing, values)[:, 1].mean())
-        x = [m.elevation for m in self._surface.values() if m.elevation is not None]
-        columns = columns_of(np.array(x), self._heights)
-        self._filled = filled(case, columns) if x else None
+        surface = self._surface.values()
+        self._x = [m.elevation for m in surface if isinstance(m, ElevationMeasure)]
+        columns = columns_of(np.array(self._x), self._heights)
+        self._filled = filled(case, columns) if self._x else None
         self._solid = ~scene.domain.contains(columns)
 
     @classmethod
@@ -300,7 +306,7 @@ class MeasuredParticles:
             for name, measure in self.measures.items()
         }
         for name, section in self._surface.items():
-            quantities[name] = {q: np.zeros((2,) * (q in VECTORS)) for q in section.quantities}
+            quantities[name] = {q: np.zeros((2,) * is_vector(q)) for q in section.quantities}
         return quantities
 
     def __call__(
@@ -311,23 +317,36 @@ class MeasuredParticles:
         Raises UnstableError as `MeasuredFields` does.
         """
         measured = dict[str, Quantities]()
-        elevations = iter(list[float]())
         if self._fields is not None:
             measured |= self._fields(position, density_fluctuation, velocity)
+        if not self._surface:
+            return measured
+        heights = np.empty(0)
         if self._filled is not None:
             share = np.where(self._solid, 1.0, self._filled(position, density_fluctuation))
-            shares = share.reshape(-1, len(self._heights))
-            elevations = iter(lowest_surface(shares, self._heights).tolist())
-        raised = np.sum(position[:, 1] - self._rest)
-        of_fluid: dict[str | None, Quantities] = {
-            "energy": {
-                "kinetic_energy": kinetic_energy(velocity, self._mass),
-                "potential_energy": np.asarray(self._weight * raised),
-            },
-            "centre_of_mass": {"centre_of_mass": position.mean(axis=0)},
-        }
-        for name, section in self._surface.items():
-            measured[name] = of_fluid.get(section.of_fluid) or {
-                "elevation": np.asarray(next(elevations))
-            }
-        return measured
+            heights = lowest_surface(share.reshape(-1, len(self._heights)), self._heights)
+        fluid = ParticleFluid(
+            elevations=dict(zip(self._x, heights, strict=True)),
+            centre_of_mass=position.mean(axis=0),
+            kinetic_energy=kinetic_energy(velocity, self._mass),
+            potential_energy=np.asarray(self._weight * np.sum(position[:, 1] - self._rest)),
+        )
+        return measured | {name: section.of(fluid) for name, section in self._surface.items()}
+
+
+@dataclass(frozen=True)
+class ParticleFluid:
+    """Fluid with a free surface at one instant of a full run, as measurements need it."""
+
+    elevations: Mapping[float, Array]
+    """The height of the surface [m], by x [m]."""
+    centre_of_mass: Array
+    """(2,) [m]."""
+    kinetic_energy: Array
+    """[J/m]."""
+    potential_energy: Array
+    """[J/m], zero at rest."""
+
+    def elevation_at(self, x: float) -> Array:
+        """Return the height of the surface [m] at a measured place [m]."""
+        return np.asarray(self.elevations[x])

@@ -13,7 +13,15 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
-from sphrom.sph.domain import ROUNDING, SIDES, WHOLE_TOLERANCE, Domain, Walls, WallSearch
+from sphrom.sph.domain import (
+    ROUNDING,
+    SIDES,
+    WHOLE_TOLERANCE,
+    Domain,
+    Walls,
+    WallSearch,
+    lattice_points,
+)
 from sphrom.sph.polygons import periodic_shifts
 
 MOST_UNEVEN = 5e-3
@@ -78,9 +86,9 @@ class BoxDomain(Domain):
         solid, to_fluid = nearest(wrapped, self._fluid_images())
         distance = np.where(solid > 0.0, -solid, fluid)
         # From the wall into the fluid, on both sides of the wall.
-        way = np.where((solid > 0.0)[:, None], to_fluid, -from_wall)
-        length = np.hypot(*way.T)
-        normal = np.divide(way, length[:, None], out=np.zeros_like(way), where=length[:, None] > 0)
+        vector = np.where((solid > 0.0)[:, None], to_fluid, -from_wall)
+        length = np.hypot(*vector.T)[:, None]
+        normal = np.divide(vector, length, out=np.zeros_like(vector), where=length > 0)
         if (on_wall := (distance == 0.0)).any():
             normal[on_wall] = self._normals_on_walls(wrapped[on_wall])
         return distance, normal
@@ -89,10 +97,10 @@ class BoxDomain(Domain):
         """Return the normals (n_points, 2) at points of walls; at a corner, the mean normal."""
         step = math.sqrt(ROUNDING) * min(self.lengths)
         turns = np.linspace(0.0, 2.0 * math.pi, 32, endpoint=False) + math.pi / 32
-        around = np.stack((np.cos(turns), np.sin(turns)), axis=1)
-        in_fluid = [self.contains(place + step * direction) for direction in around]
-        way = np.array(in_fluid, dtype=float).T @ around
-        return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))
+        directions = np.stack((np.cos(turns), np.sin(turns)), axis=1)
+        in_fluid = [self.contains(place + step * direction) for direction in directions]
+        vector = np.array(in_fluid, dtype=float).T @ directions
+        return vector / np.linalg.norm(vector, axis=1, keepdims=True)
 
     def _fluid_images(self) -> list[Rectangle]:
         """Return the rectangles of the fluid, with their images on either side of the box."""
@@ -148,35 +156,38 @@ class BoxDomain(Domain):
 
     def lattice_spacing(self, particle_spacing: float) -> float:
         """Return the square root of the area per point [m] on the lattice nearest to a spacing."""
-        number = self._filled / particle_spacing
-        whole = np.maximum(1.0, np.rint(number))
-        if self.rectangles or np.all(np.abs(number - whole) < WHOLE_TOLERANCE):
+        if self._keeps(particle_spacing):
             return particle_spacing
-        return math.sqrt(float(np.prod(self._filled / whole)))
+        counts = np.maximum(1.0, np.rint(self._filled / particle_spacing))
+        return math.sqrt(float(np.prod(self._filled / counts)))
+
+    def _keeps(self, particle_spacing: float) -> bool:
+        """Return whether lattice points are a spacing [m] apart along both axes."""
+        number = self._filled / particle_spacing
+        return bool(self.rectangles) or np.allclose(number, np.rint(number), 0.0, WHOLE_TOLERANCE)
 
     def pitches(self, particle_spacing: float) -> tuple[float, float]:
         """Return the distances of lattice points along x and y [m]; their product is its square."""
-        number = self._filled / particle_spacing
-        if self.rectangles or np.all(np.abs(number - np.rint(number)) < WHOLE_TOLERANCE):
+        if self._keeps(particle_spacing):
             return particle_spacing, particle_spacing
+        number = self._filled / particle_spacing
         # Rounded by itself, the number along the longer side could miss by one or more.
         short = int(np.argmin(number))
-        whole = np.rint(number)
-        whole[1 - short] = round(np.prod(number) / max(1.0, whole[short]))
-        x, y = self._filled / np.maximum(1.0, whole)
+        counts = np.rint(number)
+        counts[1 - short] = round(np.prod(number) / max(1.0, counts[short]))
+        x, y = self._filled / np.maximum(1.0, counts)
         return float(x), float(y)
 
     def fill(self, particle_spacing: float) -> Array:
         """Return the cell centres (n_particles, 2) [m] of a lattice in the fluid."""
-        x, y = np.meshgrid(*self._axes(particle_spacing, 0))
-        points = np.stack((x.ravel(), y.ravel()), axis=1)
+        points = lattice_points(*self._axes(particle_spacing, 0))
         return points[self.contains(points)] if self.has_walls else points
 
     def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
         """Return the lattice points (n_ghosts, 2) [m] within some layers outside the fluid."""
-        x, y = np.meshgrid(*self._axes(particle_spacing, n_layers))
-        position = np.stack((x.ravel(), y.ravel()), axis=1)
-        fluid = self.contains(position).reshape(x.shape)
+        x, y = self._axes(particle_spacing, n_layers)
+        position = lattice_points(x, y)
+        fluid = self.contains(position).reshape(y.size, x.size)
         beside, above = (self._dilated(fluid, axis, n_layers) for axis in range(2))
         ghost = (self._dilated(beside, 1, n_layers) & ~fluid).ravel()
         # A ghost diagonally behind a corner belongs to both walls that meet there.
@@ -228,9 +239,8 @@ class BoxDomain(Domain):
         from scipy import ndimage
 
         mode = "wrap" if self.periodic[axis] else "constant"
-        return np.asarray(
-            ndimage.maximum_filter1d(mask, 2 * n_layers + 1, axis=1 - axis, mode=mode, cval=0)
-        )
+        size = 2 * n_layers + 1
+        return ndimage.maximum_filter1d(mask, size, axis=1 - axis, mode=mode, cval=0)
 
 
 @dataclass(frozen=True)
@@ -258,17 +268,16 @@ class Rectangle:
 
     def contains(self, position: Array) -> Mask:
         """Return whether positions (n_points, 2) [m] are in it or on its edges."""
-        inside = (position >= self.lower) & (position <= self.upper)
-        return np.asarray(inside.all(axis=1))
+        return np.all((position >= self.lower) & (position <= self.upper), axis=1)
 
 
 def nearest(position: Array, rectangles: Iterable[Rectangle]) -> tuple[Array, Array]:
     """Return distances (n_points,) and vectors (n_points, 2) to the nearest rectangle [m]."""
     least = np.full(len(position), np.inf)
-    way = np.zeros_like(position)
+    vector = np.zeros_like(position)
     for rectangle in rectangles:
         gaps = np.clip(position, rectangle.lower, rectangle.upper) - position
         distance = np.hypot(*gaps.T)
-        way[distance < least] = gaps[distance < least]
+        vector[distance < least] = gaps[distance < least]
         np.minimum(least, distance, out=least)
-    return least, way
+    return least, vector

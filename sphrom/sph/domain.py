@@ -49,7 +49,7 @@ class Walls:
 
 @dataclass(frozen=True)
 class WallSearch:
-    """Distances from walls at every substep; sources are laid out as in `sphrom.kernels.sweeps`."""
+    """Distances from walls at every substep; sources are laid out as in `sphrom.kernels.fields`."""
 
     kernels: Any
     """The compiled module for walls of this kind."""
@@ -61,6 +61,11 @@ class WallSearch:
         distance = np.empty(targets.size)
         self.kernels.wall_distances(targets, source, *self.lists, distance)
         return distance
+
+
+def lattice_points(x: Array, y: Array) -> Array:
+    """Return the points (n_points, 2) of a lattice with columns at x and rows at y, row by row."""
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
 def first_of(particles: Indices, position: Array) -> str:
@@ -158,7 +163,7 @@ class Domain(ABC):
         slack = ROUNDING * max(self.lengths)
         lengths = np.array(self.lengths)
         within = (place > self.lower - lengths + slack) & (place < self.upper + lengths - slack)
-        return np.asarray((within | ~np.array(self.periodic)).all(axis=1))
+        return (within | ~np.array(self.periodic)).all(axis=1)
 
     @abstractmethod
     def contains(self, position: Array) -> Mask:
@@ -212,17 +217,13 @@ class Domain(ABC):
         """Return the intervals [m] of the vertical line at x that are in the fluid, from below."""
         line = shapely.linestrings([(x, self.lower[1]), (x, self.upper[1])])
         slack = ROUNDING * max(self.lengths)
-        spans: list[tuple[float, float]] = []
         parts = shapely.get_parts(shapely.intersection(line, self.fluid))
-        heights = (shapely.get_coordinates(part)[:, 1] for part in parts[~shapely.is_empty(parts)])
-        for low, high in sorted((y.min(), y.max()) for y in heights):
-            middle = np.array([[x, 0.5 * (low + high)]])
-            if high - low <= slack or self.wall_distance(middle)[0] <= slack:
-                continue
-            if spans and low <= spans[-1][1] + slack:
-                low = spans.pop()[0]
-            spans.append((float(low), float(high)))
-        return spans
+        parts = parts[shapely.length(parts) > slack]
+        middles = shapely.line_interpolate_point(parts, 0.5, normalized=True)
+        # A part that follows a wall is not in the fluid.
+        inside = parts[self.wall_distance(shapely.get_coordinates(middles)) > slack]
+        joined = shapely.get_parts(shapely.line_merge(shapely.multilinestrings(inside)))
+        return sorted((low, high) for _, low, _, high in shapely.bounds(joined).tolist())
 
     def fluid_share(self, edges: Sequence[Array]) -> Array:
         """Return the share of fluid (n_rows, n_columns) in cells between edges, x first [m].
@@ -234,7 +235,7 @@ class Domain(ABC):
         shapely.prepare(self.fluid)
         share = shapely.area(shapely.intersection(cells, self.fluid)) / shapely.area(cells)
         share[share < ROUNDING] = 0.0
-        return np.asarray(share)
+        return share
 
     def fits_lattice(self, particle_spacing: float) -> bool:
         """Whether particles of a spacing [m] fill the domain exactly, as packed ones do."""
@@ -254,8 +255,8 @@ class Domain(ABC):
         Rows begin at the floor, `pitch` apart [m].
         """
         rows = (level - self.lower[1]) / pitch
-        whole = max(1, round(rows))
-        return level if abs(rows - whole) <= WHOLE_TOLERANCE else self.lower[1] + whole * pitch
+        nearest = max(1, round(rows))
+        return level if abs(rows - nearest) <= WHOLE_TOLERANCE else self.lower[1] + nearest * pitch
 
     @abstractmethod
     def fill(self, particle_spacing: float) -> Array:

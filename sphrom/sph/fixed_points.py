@@ -39,208 +39,29 @@ on a ghost g of a wall is
 which is linear in the state at constant volumes, as rho0/rho cancels.
 
 Scalars are (n_points, n_fields), vectors (2, n_points, n_fields): columns are states or modes.
-
-Matrices have a row per point and a column per source unless stated otherwise; the contributions of
-a source's periodic images are added.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from sphrom.arrays import Array, Mask
-from sphrom.kernels.wendland import LAPLACIAN_SHAPE, weigh
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, Resistance, UnitForcing
-from sphrom.sph.neighbourhood import periodic_images
-from sphrom.sph.walls import NEAREST, ghost_depths
+from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, ghost_sums, row_sums
 
-Matrix = Any
-"""A sparse matrix in compressed rows."""
 Rows = slice | NDArray[np.int64]
 """Some of the points."""
 
 EVERYWHERE = slice(None)
 
-N_BLOCK_POINTS = 4096
-"""Number of points whose pairs are found at once."""
 N_BLOCK_FIELDS = 8
 """Number of fields whose diffusion is computed at once."""
-
-
-@dataclass(frozen=True)
-class FluidSums:
-    """Sums over the fluid's points; matrices are (n_points, n_points)."""
-
-    gradient: tuple[Matrix, Matrix]
-    """The kernel's gradient times the volume, by component [1/m]."""
-    factor: Matrix
-    """The gradient's factor times the volume [1/m2]."""
-    friction: Matrix
-    """The factor times the weight of the Laplacian [1/m2]."""
-    support: Array
-    """(2, n_points), the sums of the gradient [1/m]."""
-    factor_sum: Array
-    """(n_points,) [1/m2]."""
-    moment: Array
-    """(n_points,) trace of the second moment of the friction."""
-    renormalization: Array
-    """(2, 2, n_points) L of Eq. 2.11."""
-
-
-@dataclass(frozen=True)
-class GhostSums:
-    """Sums over ghosts, (n_points, n_ghosts), and over the points around them."""
-
-    gradient: tuple[Matrix, Matrix]
-    gradient_back: tuple[Matrix, Matrix]
-    """Transposed."""
-    support: Array
-    """(2, n_points)."""
-    friction: Matrix
-    """The factor times the weight of the Laplacian and the stretch of extrapolated velocities."""
-    friction_sum: Array
-    """(n_points,) [1/m2]."""
-    moment: Array
-    """(n_points,) the second moment of the friction, without extrapolation."""
-    mean: Matrix
-    """S (n_ghosts, n_points)."""
-    mean_back: Matrix
-    """Transposed."""
-    head: tuple[Matrix, Matrix]
-    """(n_ghosts, n_points) S times the offset of a ghost from a point, by component [m]."""
-    velocity: Array
-    """(2, n_ghosts) of the walls [m/s]."""
-
-    def heads(self, body_force: Array) -> Array:
-        """Return ghosts' heads (n_ghosts, ...) [m2/s2] of a force (2, n_points, ...) (Eq. 2.15)."""
-        return np.asarray(sum(self.head[d] @ body_force[d] for d in range(2)))
-
-
-@dataclass(frozen=True)
-class _PairBlock:
-    """The pairs of a block of points with their sources."""
-
-    n_rows: int
-    row: NDArray[np.int64]
-    """(n_pairs,) within the block."""
-    column: NDArray[np.int64]
-    offset: Array
-    """(2, n_pairs) [m]."""
-    square: Array
-    """(n_pairs,) of the distance [m2]."""
-    kernel: Array
-    factor: Array
-    """Times the volume."""
-    friction: Array
-    """The factor times the weight of the Laplacian."""
-
-    def row_sums(self, values: Array) -> Array:
-        """Return the sums (n_rows,) of values (n_pairs,) over the pairs of each target."""
-        return np.asarray(np.bincount(self.row, values, self.n_rows), dtype=np.float64)
-
-    def matrix(self, values: Array, n_columns: int) -> Matrix:
-        """Return the matrix of values (n_pairs,); those of images are added."""
-        return sparse.csr_matrix((values, (self.row, self.column)), (self.n_rows, n_columns))
-
-
-def _pair_blocks(
-    targets: Array, sources: Array, domain: Domain, discretization: Discretization
-) -> Iterator[_PairBlock]:
-    """Find the pairs of targets (n_targets, 2) with sources (n_sources, 2) and their images [m]."""
-    reach = discretization.support_radius
-    particle, image = periodic_images(sources.T, domain, reach)
-    place = sources[particle] + image.T
-    tree = cKDTree(place)
-    for first in range(0, len(targets), N_BLOCK_POINTS):
-        some = targets[first : first + N_BLOCK_POINTS]
-        near = cKDTree(some).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
-        kernel = np.empty_like(near.data)
-        factor = np.empty_like(near.data)
-        weigh(near.data, 1.0 / discretization.smoothing_length, kernel, factor)
-        factor *= discretization.particle_spacing**2
-        offset = np.ascontiguousarray((some[near.row] - place[near.col]).T)
-        square = near.data**2
-        weight = 1.0 - LAPLACIAN_SHAPE * square / discretization.smoothing_length**2
-        column = particle[near.col]
-        yield _PairBlock(
-            len(some), near.row, column, offset, square, kernel, factor, factor * weight
-        )
-
-
-def fluid_sums(position: Array, domain: Domain, discretization: Discretization) -> FluidSums:
-    """Return the sums between points (n_points, 2) [m]."""
-    blocks, moments = [], []
-    for pairs in _pair_blocks(position, position, domain, discretization):
-        x, y = pairs.offset
-        wx, wy = pairs.factor * x, pairs.factor * y
-        matrices = (wx, wy, pairs.factor, pairs.friction)
-        blocks.append([pairs.matrix(values, len(position)) for values in matrices])
-        products = (wx * x, wx * y, wy * y, pairs.friction * pairs.square)
-        moments.append([pairs.row_sums(values) for values in products])
-    gradient_x, gradient_y, factor, friction = (
-        sparse.vstack(block, "csr") for block in zip(*blocks, strict=True)
-    )
-    xx, xy, yy, moment = (np.concatenate(m) for m in zip(*moments, strict=True))
-    return FluidSums(
-        gradient=(gradient_x, gradient_y),
-        factor=factor,
-        friction=friction,
-        support=np.stack((row_sums(gradient_x), row_sums(gradient_y))),
-        factor_sum=row_sums(factor),
-        moment=moment,
-        renormalization=np.array([[-yy, xy], [xy, -xx]]) / (xx * yy - xy * xy),
-    )
-
-
-def ghost_sums(
-    position: Array, walls: Walls, domain: Domain, discretization: Discretization
-) -> GhostSums:
-    """Return the sums between points (n_points, 2) [m] and the ghosts of walls."""
-    blocks, moments = [], []
-    nearest = NEAREST * discretization.particle_spacing
-    distance = np.maximum(domain.wall_distance(position), nearest)
-    depth = ghost_depths(domain, walls.position, discretization)
-    first = 0
-    for pairs in _pair_blocks(position, walls.position, domain, discretization):
-        x, y = pairs.offset
-        stretch = 1.0 + depth[pairs.column] / distance[first + pairs.row]
-        weights = (pairs.factor * x, pairs.factor * y, pairs.friction * stretch)
-        means = (pairs.kernel, -pairs.kernel * x, -pairs.kernel * y)
-        blocks.append([pairs.matrix(v, len(walls.position)) for v in (*weights, *means)])
-        moments.append(pairs.row_sums(pairs.friction * pairs.square))
-        first += pairs.n_rows
-    gradient_x, gradient_y, friction, kernel, head_x, head_y = (
-        sparse.vstack(block, "csr") for block in zip(*blocks, strict=True)
-    )
-    total = row_sums(kernel.T)
-    # Ghosts beyond the fluid's reach get zero.
-    share = sparse.diags(np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0))
-    mean, mean_x, mean_y = ((share @ m.T).tocsr() for m in (kernel, head_x, head_y))
-    return GhostSums(
-        gradient=(gradient_x, gradient_y),
-        gradient_back=(gradient_x.T.tocsr(), gradient_y.T.tocsr()),
-        support=np.stack((row_sums(gradient_x), row_sums(gradient_y))),
-        friction=friction,
-        friction_sum=row_sums(friction),
-        moment=np.concatenate(moments),
-        mean=mean,
-        mean_back=mean.T.tocsr(),
-        head=(mean_x, mean_y),
-        velocity=np.ascontiguousarray(walls.velocity.T),
-    )
-
-
-def row_sums(matrix: Matrix) -> Array:
-    """Return the sums (n_rows,) of a matrix's rows."""
-    return np.asarray(matrix.sum(axis=1)).ravel()
 
 
 def some_rows(matrix: Matrix, rows: Rows) -> Matrix:
@@ -265,8 +86,6 @@ class Terms:
     """V u (2, n, n_fields) [1/(m s)]."""
     damping: Array | None = None
     """-alpha h G D u, the damper's part of the pressure gradient; None without a damper."""
-    slowing: Array | None = None
-    """-(1 + K) lambda u (2, n, n_fields) [1/s]; None without resistance."""
 
 
 @dataclass(frozen=True)
@@ -277,6 +96,10 @@ class _Held:
     unit: Array
     of_density: Array
     of_velocity: Array
+
+    def release(self, vectors: Array, along: Array, rows: Rows) -> None:
+        """Subtract e times its products with vectors from vectors at some points, in place."""
+        vectors[self.axis] -= np.multiply.outer(self.unit[rows], along)
 
 
 class FixedPoints:
@@ -316,7 +139,7 @@ class FixedPoints:
     ) -> None:
         self.position = domain.wrap(position)
         self.sound_speed = fluid.sound_speed
-        self.reference_density = fluid.reference_density
+        self.fluid = fluid
         self.density_scale = fluid.sound_speed / fluid.reference_density
         self.fixed_volume = discretization.fixed_volume
         self.body_force = body_force
@@ -333,9 +156,19 @@ class FixedPoints:
         )
         moment = self._fluid.moment + (0.0 if self._ghosts is None else self._ghosts.moment)
         self._viscous = -2.0 / moment
-        self._friction_sum = row_sums(self._fluid.friction)
-        self._friction_of_factors = self._fluid.friction @ self._viscous
+        self._laplacian = self._viscous_matrix()
         self._slow_down(resistance)
+
+    def _viscous_matrix(self) -> Matrix:
+        """Return V (n_points, n_points), alike for both components, without the strip's mean."""
+        c = self._viscous
+        friction = self._fluid.friction
+        diagonal = c * row_sums(friction) + friction @ c
+        if self._ghosts is not None:
+            diagonal += 2.0 * c * row_sums(self._ghosts.friction)
+        factors = sparse.diags_array(c)
+        pairs = factors @ friction + friction @ factors
+        return (sparse.diags_array(diagonal) - pairs).tocsr()
 
     def _slow_down(self, resistance: Resistance | None) -> None:
         """Store the resistance at the points, and products of the strip's vector."""
@@ -343,17 +176,17 @@ class FixedPoints:
         self._held: _Held | None = None
         if resistance is None:
             return
-        place = self.position.T
+        position = self.position.T
         if resistance.own is not None or resistance.strip is not None:
-            self.slowing_rate = resistance.steady(place)
+            self.slowing_rate = resistance.steady(position)
         if resistance.inverse_permeability is not None:
-            self.inverse_permeability = resistance.inverse_permeability(place)
+            self.inverse_permeability = resistance.inverse_permeability(position)
         if (strip := resistance.strip) is not None:
-            rates = strip.rates(place)
+            rates = strip.rates(position)
             vector = np.zeros((2, self.n_points, 1))
             vector[strip.axis, :, 0] = rates / np.linalg.norm(rates)
             of_density = -self.divergence(vector)[:, 0]
-            of_velocity = self._laplacian(vector, EVERYWHERE)[strip.axis, :, 0]
+            of_velocity = self._rubbed(vector, EVERYWHERE)[strip.axis, :, 0]
             unit = vector[strip.axis, :, 0]
             self._held = _Held(strip.axis, unit, of_density, of_velocity)
 
@@ -364,13 +197,6 @@ class FixedPoints:
         if rate is not None:
             inverse = rate / viscosity + (0.0 if inverse is None else inverse)
         return inverse, None if self._held is None else self._held.unit > 0.0
-
-    def _slowed(self, rate: Array | None, velocity: Array, rows: Rows) -> Array | None:
-        """Return (1 + K) rate u (2, n, n_fields) of velocities at some points."""
-        if rate is None:
-            return None
-        slowed = rate[:, None] * velocity
-        return np.asarray(slowed[:, rows] + self.head_push(slowed, rows))
 
     @property
     def n_points(self) -> int:
@@ -388,9 +214,8 @@ class FixedPoints:
         friction = self._beside_walls.friction
         out = np.stack([drag * (friction @ u) for u in wall_velocity])
         if self._held is not None:
-            along = out[self._held.axis]
-            unit = self._held.unit
-            along -= unit * (unit @ along)
+            along = self._held.unit @ out[self._held.axis]
+            self._held.release(out, along, EVERYWHERE)
         return out
 
     def terms(
@@ -412,13 +237,11 @@ class FixedPoints:
         if self._damping_length > 0.0:
             damping = -self._damping_length * self._pushed(divergence, rows)
             push += damping
-        laplacian = self._laplacian(velocity, rows)
-        slowing = None
-        if (slowed := self._slowed(self.inverse_permeability, velocity, rows)) is not None:
-            laplacian -= slowed
-        if (slowed := self._slowed(self.slowing_rate, velocity, rows)) is not None:
-            slowing = -slowed
-        return Terms(divergence[rows], push, laplacian, damping, slowing)
+        laplacian = self._rubbed(velocity, rows)
+        if self.inverse_permeability is not None:
+            slowed = self.inverse_permeability[:, None] * velocity
+            laplacian -= slowed[:, rows] + self.head_push(slowed, rows)
+        return Terms(divergence[rows], push, laplacian, damping)
 
     def divergence(self, velocity: Array) -> Array:
         """Return D u (n_points, n_fields) [1/s] of velocities (2, n_points, n_fields) [m/s]."""
@@ -429,8 +252,8 @@ class FixedPoints:
             fluid.gradient[d] @ velocity[d] - scaled(support[d], velocity[d]) for d in range(2)
         )
         if ghosts is not None:
-            flux = sum(ghosts.gradient_back[d] @ velocity[d] for d in range(2))
-            out -= ghosts.mean_back @ flux
+            flux = sum(ghosts.gradient[d].T @ velocity[d] for d in range(2))
+            out -= ghosts.mean.T @ flux
         return np.asarray(out)
 
     def _pushed(self, scaled_density: Array, rows: Rows) -> Array:
@@ -450,27 +273,16 @@ class FixedPoints:
             for d in range(2):
                 out[d] += some_rows(ghosts.gradient[d], rows) @ mean
                 out[d] += scaled(ghosts.support[d, rows], q)
-        if self._held is not None:
-            mean = self._held.of_density @ scaled_density
-            out[self._held.axis] -= np.multiply.outer(self._held.unit[rows], mean)
+        if (held := self._held) is not None:
+            held.release(out, held.of_density @ scaled_density, rows)
         return out
 
-    def _laplacian(self, velocity: Array, rows: Rows) -> Array:
+    def _rubbed(self, velocity: Array, rows: Rows) -> Array:
         """Return V u (2, n, n_fields) [1/(m s)] at some points."""
-        friction = some_rows(self._fluid.friction, rows)
-        c = self._viscous
-        own = c[rows] * self._friction_sum[rows] + self._friction_of_factors[rows]
-        if self._ghosts is not None:
-            own = own + 2.0 * c[rows] * self._ghosts.friction_sum[rows]
-        out = np.stack(
-            [
-                scaled(own, u[rows]) - scaled(c[rows], friction @ u) - friction @ scaled(c, u)
-                for u in velocity
-            ]
-        )
-        if self._held is not None:
-            mean = self._held.of_velocity @ velocity[self._held.axis]
-            out[self._held.axis] -= np.multiply.outer(self._held.unit[rows], mean)
+        matrix = some_rows(self._laplacian, rows)
+        out = np.stack([matrix @ u for u in velocity])
+        if (held := self._held) is not None:
+            held.release(out, held.of_velocity @ velocity[held.axis], rows)
         return out
 
     def gradients(self, fields: Array, rows: Rows = EVERYWHERE) -> Array:
@@ -512,10 +324,8 @@ class FixedPoints:
             return np.zeros_like(body_force[:, rows])
         head = ghosts.heads(body_force)
         push = np.stack([-(some_rows(ghosts.gradient[d], rows) @ head) for d in range(2)])
-        if self._held is not None:
-            strip = self._held
-            mean = (ghosts.gradient[strip.axis].T @ strip.unit) @ head
-            push[strip.axis] += np.multiply.outer(strip.unit[rows], mean)
+        if (held := self._held) is not None:
+            held.release(push, -(ghosts.gradient[held.axis].T @ held.unit) @ head, rows)
         return push
 
     def ghost_pressures(self, scaled_density: Array, velocity: Array) -> Array:
@@ -527,7 +337,7 @@ class FixedPoints:
         q = scaled_density - self._damping_length * self.divergence(velocity)
         mean = ghosts.mean @ q
         scale = self.particle_mass * self.sound_speed
-        push = scale * np.stack([scaled(row_sums(g), mean) + g @ q for g in ghosts.gradient_back])
+        push = scale * np.stack([scaled(row_sums(g.T), mean) + g.T @ q for g in ghosts.gradient])
         if self.slowing_rate is not None:
             push -= self.ghost_heads(self.slowing_rate[:, None] * velocity)
         return push
@@ -536,7 +346,7 @@ class FixedPoints:
         """Return the force of heads on ghosts (2, n_ghosts, ...) [N/m], for (2, n_points, ...)."""
         ghosts = self._beside_walls
         head = ghosts.heads(body_force)
-        push = np.stack([scaled(row_sums(g), head) for g in ghosts.gradient_back])
+        push = np.stack([scaled(row_sums(g.T), head) for g in ghosts.gradient])
         return self.particle_mass * push
 
     def ghost_friction(self, velocity: Array) -> Array:

@@ -245,9 +245,9 @@ class Resistance:
 
     def steady(self, position: Array) -> Array:
         """Return lambda without porous bodies (n_positions,) [1/s], independent of viscosity."""
-        place = self.in_box(position)
-        found = np.zeros(place.shape[1]) if self.own is None else self.own(place)
-        return found if self.strip is None else found + self.strip.rates(place)
+        in_box = self.in_box(position)
+        found = np.zeros(in_box.shape[1]) if self.own is None else self.own(in_box)
+        return found if self.strip is None else found + self.strip.rates(in_box)
 
     def rates(self, position: Array, viscosity: float) -> Array:
         """Return lambda (n_positions,) [1/s] at positions (2, n_positions) [m]."""

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.kernels import advection, sweeps
+from sphrom.kernels import advection, fields, sweeps
 from sphrom.kernels.wendland import kernel
 from sphrom.metrics.measures import TORQUE
 from sphrom.sph.domain import Domain, Walls
@@ -51,6 +51,22 @@ class Rates:
     """(n_particles, 3, 2) renormalised gradients (Eq. 2.11) of three fields, if requested."""
 
 
+@dataclass(frozen=True)
+class _FirstSums:
+    """The results of the first sweep, and the terms that follow from positions."""
+
+    source: Array
+    """The sources with their pressures."""
+    walls: WallTerms | None
+    force: Array | None
+    """(2, n_particles) the body force less resistance [m/s2]."""
+    regular: Array
+    """The rows of `sweeps.regularity`, with the shifting velocity that transports fields."""
+    shifting: Array
+    """(2, n_particles) the shifting velocity with which particles move [m/s]."""
+    slopes: Array | None
+
+
 @dataclass(eq=False)
 class Functional:
     """Eq. 2.6-2.8 for one fluid in one domain, with walls and a body force if there are any."""
@@ -73,7 +89,7 @@ class Functional:
         self.mass = fluid.reference_density * discretization.particle_spacing**2
         length = discretization.smoothing_length
         laplacian = discretization.viscosity == "laplacian"
-        self._fluid_constants = sweeps.FluidConstants(
+        self._fluid_constants = fields.FluidConstants(
             reference_density=fluid.reference_density,
             sound_speed=fluid.sound_speed,
             pair_viscosity=0.0 if laplacian else PAIR_FACTOR * fluid.kinematic_viscosity,
@@ -82,15 +98,16 @@ class Functional:
             advective=1.0 if discretization.shifting_transport == "advective" else 0.0,
         )
         damping = discretization.acoustic_damping * length / fluid.sound_speed
-        self._regularity_constants = sweeps.RegularityConstants(
+        self._regularity_constants = fields.RegularityConstants(
             magnitude=2.0 * length * fluid.max_speed if discretization.shifting else 0.0,
             amplitude=discretization.shifting_amplitude,
             inverse_kernel=1.0 / kernel(discretization.particle_spacing, 1.0 / length),
             as_printed=1.0 if discretization.shifting_as_printed else 0.0,
             limit=0.5 * fluid.max_speed,
             damping=damping * fluid.reference_density,
+            walls_return=1.0 if discretization.wall_continuity == "adjoint" else 0.0,
         )
-        self._n_fields = sweeps.n_fields(self._fluid_constants)
+        self._n_fields = fields.n_fields(self._fluid_constants)
         self.neighbourhood = Neighbourhood(domain, discretization, self._n_fields)
         self._source = np.empty((self._n_fields, 0))
 
@@ -119,23 +136,24 @@ class Functional:
         ----------
         along : (3, n_particles) fields whose gradients are computed in the same sweep.
         """
-        fields = position, density_fluctuation, velocity
-        source, walls, force, regular, moving, slopes = self._first_sums(*fields, time, along)
+        sums = self._first_sums(position, density_fluctuation, velocity, time, along)
+        near = self.neighbourhood
+        constants = self._fluid_constants
         out = np.empty((3, density_fluctuation.size))
-        sweeps.rates(*self.neighbourhood.blocks(source), regular, self._fluid_constants, out)
-        if walls is not None:
-            walls.add_rates(self._fluid_constants, regular, out[1:])
+        sweeps.rates(near.blocks, near.search, sums.source, sums.regular, constants, out)
+        if sums.walls is not None:
+            sums.walls.add_rates(constants, sums.regular, out[1:])
         if self.resistance is not None:
             self.resistance.hold(position, out[1:])
-        if force is not None:
-            out[1:] += force
+        if sums.force is not None:
+            out[1:] += sums.force
         if self.discretization.fixed_volume:
             # The volume of a domain filled with fluid is constant, which the sums of the continuity
             # equation do not ensure: the mean pressure would drift with the particles' arrangement.
             density = self.fluid.reference_density + density_fluctuation
             compressibility = self.mass / density**2
             out[0] -= np.sum(compressibility * out[0]) / np.sum(compressibility)
-        return Rates(out[0], out[1:], moving, slopes)
+        return Rates(out[0], out[1:], sums.shifting, sums.slopes)
 
     def _first_sums(
         self,
@@ -144,43 +162,39 @@ class Functional:
         velocity: Array,
         time: float,
         along: Array | None = None,
-    ) -> tuple[Array, WallTerms | None, Array | None, Array, Array, Array | None]:
-        """Return the sources with pressures, and the terms that follow from their positions.
-
-        They are the wall terms, the body force, rows of `sweeps.regularity`, shifting, and slopes.
-        Shifting is the velocity (2, n_particles) with which particles move; the rows contain the
-        one that transports fields.
-        """
+    ) -> _FirstSums:
+        """Run the first sweep at some positions, with gradients of the fields `along` if given."""
         source = self._sources(position, density_fluctuation, velocity)
-        near = self.neighbourhood.sources
+        near = self.neighbourhood
+        blocks = near.blocks
+        image = near.sources.image
         walls, force = self._around(source, position, velocity, time)
         constants = self._regularity_constants
-        beside = np.empty((6, 0)) if walls is None else walls.regularity(constants)
-        regular = np.empty((sweeps.N_REGULAR_ROWS, near.targets.size))
-        slopes = None
-        arguments = (*self.neighbourhood.blocks(source), constants, beside, regular)
-        if along is None:
-            sweeps.regularity(*arguments)
-        else:
-            sweeps.gather(near.particle, near.image, along, advection.FIRST, source)
-            slopes = np.empty((along.shape[1], 3, 2))
-            advection.regularity_and_gradients(*arguments, slopes)
+        wall_sums = np.empty((6, 0)) if walls is None else walls.regularity(constants)
+        regular = np.empty((fields.N_REGULAR_ROWS, blocks.targets.size))
+        slopes: tuple[Array, ...] = ()
+        if along is not None:
+            sweeps.gather(blocks.particle, image, along, fields.FIRST, source)
+            slopes = (np.empty((along.shape[1], 3, 2)),)
+        sweeps.regularity(blocks, near.search, source, constants, wall_sums, regular, slopes)
         if self.discretization.free_surface:
             self._settle_spray(regular)
-        moving = regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1]
+        shifting = regular[fields.OWN_SHIFT_U : fields.OWN_SHIFT_V + 1]
         if walls is not None and (self.discretization.shifting or self.discretization.free_surface):
-            moving = self._held_back(moving, walls)
-        shared = regular[: self._n_fields - sweeps.PRESSURE]
-        sweeps.gather(near.particle, near.image, shared, sweeps.PRESSURE, source)
+            shifting = self._held_back(shifting, walls)
+        shared = regular[: self._n_fields - fields.PRESSURE]
+        sweeps.gather(blocks.particle, image, shared, fields.PRESSURE, source)
         if walls is not None and self.discretization.acoustic_damping > 0.0:
-            walls.damp(source[sweeps.PRESSURE])
-        return source, walls, force, regular, moving, slopes
+            walls.damp(source[fields.PRESSURE])
+        return _FirstSums(
+            source, walls, force, regular, shifting, slopes=slopes[0] if slopes else None
+        )
 
     def _settle_spray(self, regular: Array) -> None:
         """Set to zero, in place, the values that no neighbours, or those on one line, determine."""
         regular[~np.isfinite(regular)] = 0.0
         steepest = DENSITY_LIMIT * self.fluid.reference_density
-        slope = regular[sweeps.OWN_GRADIENT_X : sweeps.OWN_GRADIENT_Y + 1]
+        slope = regular[fields.OWN_GRADIENT_X : fields.OWN_GRADIENT_Y + 1]
         slope[:, np.hypot(*slope) * self.discretization.smoothing_length > steepest] = 0.0
 
     def _held_back(self, shifting: Array, walls: WallTerms) -> Array:
@@ -193,10 +207,10 @@ class Functional:
         if self.discretization.shifting_transport == "advective":
             walls.hold_back(shifting)
             return shifting
-        moving = shifting.copy()
-        walls.hold_back(moving)
+        held = shifting.copy()
+        walls.hold_back(held)
         walls.hold_back(shifting, against=0.0)
-        return moving
+        return held
 
     def ghost_forces(self, state: Array, time: float = 0.0) -> Array:
         """Return the pressure and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
@@ -206,7 +220,7 @@ class Functional:
         stress mu du/dn. Along a wall at rest this is the whole stress; along a rotating wall the
         torque lacks -2 mu times the angular velocity and the enclosed area.
         """
-        _, walls, *_ = self._first_sums(state[:2], state[2], state[3:], time)
+        walls = self._first_sums(state[:2], state[2], state[3:], time).walls
         assert walls is not None
         return walls.forces(self._fluid_constants)
 
@@ -234,11 +248,11 @@ class Functional:
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
-        fluid = near.particle, near.targets, source
-        distance = np.full(near.targets.size, np.inf)
+        nowhere = np.full(near.targets.size, np.inf)
+        particles = fields.BesideWalls(near.particle, near.targets, source, distance=nowhere)
         depth = np.zeros(source.shape[1])
-        pairs = *fluid, distance, source, *self.neighbourhood.search
-        advection.transport(*pairs, depth, self.fluid.reference_density, out)
+        search = self.neighbourhood.search
+        advection.transport(particles, source, search, depth, self.fluid.reference_density, out)
         walls, _ = self._around(source, position, velocity, time)
         if walls is not None:
             walls.add_transport(out)
@@ -256,8 +270,8 @@ class Functional:
         if self._source.shape != shape:
             self._source = np.empty(shape)
         volume = self.volume(density_fluctuation)
-        fields = np.vstack((position, density_fluctuation, velocity, volume))
-        sweeps.gather(near.particle, near.image, fields, sweeps.X, self._source)
+        particles = np.vstack((position, density_fluctuation, velocity, volume))
+        sweeps.gather(near.particle, near.image, particles, fields.X, self._source)
         return self._source
 
     # The interface of the time loop
@@ -319,11 +333,11 @@ def measured_wall(
     ----------
     wall_velocity : returns the walls' velocity (n_points, 2) [m/s] at places (n_points, 2) [m].
     """
-    own = np.flatnonzero(walls.wall == domain.wall_names.index(name))
-    x, y = domain.arms(name, domain.on_wall(domain.wrap(walls.position[own]))).T
+    ghosts = np.flatnonzero(walls.wall == domain.wall_names.index(name))
+    x, y = domain.arms(name, domain.on_wall(domain.wrap(walls.position[ghosts]))).T
     weights = np.zeros((3, 2, len(walls.wall)))
-    weights[0, 0, own] = weights[1, 1, own] = 1.0
-    weights[TORQUE][:, own] = -y, x
+    weights[0, 0, ghosts] = weights[1, 1, ghosts] = 1.0
+    weights[TORQUE][:, ghosts] = -y, x
     return MeasuredWall(weights, domain.circulation(name, wall_velocity))
 
 

@@ -14,13 +14,10 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.errors import UnstableError
-from sphrom.kernels.blocks import N_CHUNKS, longest_list, split_targets
-from sphrom.kernels.cells import Grid, sort_by_cell
+from sphrom.kernels.blocks import N_CHUNKS, Blocks, longest_list, split_targets
+from sphrom.kernels.cells import Grid, Search, sort_by_cell
 from sphrom.sph.domain import Domain, first_of
 from sphrom.sph.fluid import Discretization
-
-Search = tuple[Grid, Indices, float, float]
-"""The arguments of searches in sweeps: cells, search radius [m], and 1/h [1/m]."""
 
 CELL_SIZE_RATIO = (0.5, 4.0)
 """Cell width and height over the particle spacing; these are the fastest of several tried."""
@@ -44,6 +41,10 @@ class Sources:
     """(n_particles,) the sources that are the particles themselves, in sorted order."""
     grid: Grid
     cell_start: Indices
+
+    def search(self, reach: float, smoothing_length: float) -> Search:
+        """Return the cells with a search radius [m]."""
+        return Search(*self.grid, self.cell_start, reach, 1.0 / smoothing_length)
 
 
 def sort_sources(
@@ -87,20 +88,21 @@ class Neighbourhood:
         self._domain = domain
         self._spacing = discretization.particle_spacing
         self._support_radius = discretization.support_radius
-        self._inverse_length = 1.0 / discretization.smoothing_length
+        self._smoothing_length = discretization.smoothing_length
         self._move_limit = MOVE_RATIO * self._spacing
         self.built_at: Array | None = None
         self.scratch = np.empty((N_CHUNKS, n_fields, 0))
 
     @property
     def search(self) -> Search:
-        """The arguments with which sweeps search the sources."""
-        return self.sources.grid, self.sources.cell_start, self.reach, self._inverse_length
+        """The cells of the sources with the present search radius."""
+        return self.sources.search(self.reach, self._smoothing_length)
 
-    def blocks(self, source: Array) -> tuple[Indices, Indices, Indices, Array, *Search, Array]:
-        """Return the first arguments of sweeps over blocks, for fields of the sources."""
+    @property
+    def blocks(self) -> Blocks:
+        """The particles in blocks with common lists of candidates."""
         near = self.sources
-        return near.particle, near.targets, self.block_start, source, *self.search, self.scratch
+        return Blocks(near.particle, near.targets, self.block_start, self.scratch)
 
     def rebuild_at(self, position: Array | None) -> None:
         """Build the list for positions (2, n_particles) [m]; None resets it.
@@ -132,10 +134,10 @@ class Neighbourhood:
         self.built_at = position.copy()
         # Targets are divided into blocks, whose candidate lists need memory.
         near = self.sources
-        cells, limit = (near.grid, near.cell_start), SLACK * self._move_limit
-        self.block_start = split_targets(near.targets, *cells)
-        listed = near.place, near.targets, self.block_start, *cells
-        length = longest_list(*listed, self._support_radius + limit, limit)
+        limit = SLACK * self._move_limit
+        self.block_start = split_targets(near.targets, near.grid, near.cell_start)
+        farthest = near.search(self._support_radius + limit, self._smoothing_length)
+        length = longest_list(near.place, near.targets, self.block_start, farthest, limit)
         if length > self.scratch.shape[2]:
             self.scratch = np.empty((*self.scratch.shape[:2], length))
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.kernels import sweeps
+from sphrom.kernels import fields, sweeps
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization
@@ -138,8 +138,8 @@ class KernelGradientSum:
     ) -> None:
         self._others = np.empty((2, 0)) if others is None else others
         self._volume = discretization.particle_spacing**2
-        self._neighbourhood = Neighbourhood(domain, discretization, n_fields=sweeps.N_FIELDS)
-        self._constants = sweeps.RegularityConstants(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._neighbourhood = Neighbourhood(domain, discretization, n_fields=fields.N_FIELDS)
+        self._constants = fields.RegularityConstants(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __call__(self, position: Array) -> Array:
         """Return the sum (2, n_particles) [1/m] at positions (2, n_particles) [m]."""
@@ -147,10 +147,13 @@ class KernelGradientSum:
         position = np.concatenate((position, self._others), axis=1)
         self._neighbourhood.update(position)
         near = self._neighbourhood.sources
-        source = np.zeros((sweeps.N_FIELDS, near.particle.size))
-        sweeps.gather(near.particle, near.image, position, sweeps.X, source)
-        source[sweeps.VOLUME] = self._volume
-        out = np.empty((sweeps.N_REGULAR_ROWS, position.shape[1]))
+        source = np.zeros((fields.N_FIELDS, near.particle.size))
+        sweeps.gather(near.particle, near.image, position, fields.X, source)
+        source[fields.VOLUME] = self._volume
+        out = np.empty((fields.N_REGULAR_ROWS, position.shape[1]))
         no_walls = np.empty((6, 0))
-        sweeps.regularity(*self._neighbourhood.blocks(source), self._constants, no_walls, out)
-        return out[sweeps.SUPPORT_X :, :n_particles]
+        neighbourhood = self._neighbourhood
+        sweeps.regularity(
+            neighbourhood.blocks, neighbourhood.search, source, self._constants, no_walls, out, ()
+        )
+        return out[fields.SUPPORT_X :, :n_particles]

@@ -78,12 +78,12 @@ class Places:
             shapely.get_coordinates(shapely.segmentize(line, edge.length / N_SAMPLES))
             for line in shapely.get_parts(edge)
         ]
-        place = np.concatenate([0.5 * (piece[1:] + piece[:-1]) for piece in pieces])
-        touched = np.abs(self._domain.distance_and_normal(place)[0]) < TOUCHING * edge.length
-        touched &= np.all((place >= self._ends[0]) & (place <= self._ends[1]), axis=1)
+        points = np.concatenate([0.5 * (piece[1:] + piece[:-1]) for piece in pieces])
+        touched = np.abs(self._domain.distance_and_normal(points)[0]) < TOUCHING * edge.length
+        touched &= np.all((points >= self._ends[0]) & (points <= self._ends[1]), axis=1)
         if not touched.any():
             raise ValueError(f"walls.{name}: no fluid touches it")
-        return place[touched]
+        return points[touched]
 
     @cached_property
     def scattered(self) -> Array:
@@ -91,9 +91,9 @@ class Places:
         # Equal distances could fit the waves of a field.
         shares = np.random.default_rng(0).random((N_SAMPLES, N_SAMPLES, 2))
         cells = np.stack(np.meshgrid(*(np.arange(N_SAMPLES),) * 2), axis=-1)
-        place = self._ends[0] + np.array(self._domain.lengths) * (cells + shares) / N_SAMPLES
-        place = place.reshape(-1, 2)
-        return place[self._domain.contains(place)]
+        points = self._ends[0] + np.array(self._domain.lengths) * (cells + shares) / N_SAMPLES
+        points = points.reshape(-1, 2)
+        return points[self._domain.contains(points)]
 
     def beside(self, difference: Callable[[Array], Array]) -> Array:
         """Return places (n_places, 2) [m] on both sides of lines where a difference vanishes."""

@@ -29,13 +29,14 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.arrays import Array, Indices, Mask
 from sphrom.kernels import segments as segment_sweeps
 from sphrom.kernels.cells import Grid
-from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch
+from sphrom.sph.domain import ROUNDING, SIDES, Domain, Walls, WallSearch, lattice_points
 from sphrom.sph.packing import NEAREST, off_walls
 from sphrom.sph.polygons import (
     CORNER,
     digest,
     edges_of,
     joined_areas,
+    left_turn,
     outline_of,
     periodic_shifts,
     require_few_crossings,
@@ -88,8 +89,8 @@ class PolygonDomain(Domain):
         box = shapely.box(*self.lower, *self.upper)
         shifts = periodic_shifts(self.lengths, self.periodic)
         require_few_crossings(translate(s, *shift) for _, s in self.solids for shift in shifts)
-        for name, whole in self.solids:
-            shape = shapely.intersection(self._with_images(whole), box)
+        for name, solid in self.solids:
+            shape = shapely.intersection(self._with_images(solid), box)
             if name in sides or name in seen:
                 raise ValueError(f"solid {name}: the name is taken")
             if shape.is_empty:
@@ -139,21 +140,21 @@ class PolygonDomain(Domain):
     def fluid_with_images(self) -> BaseGeometry:
         """The fluid in the box and, along periodic axes, in its images on either side."""
         reach = np.where(self.periodic, self.lengths, 0.0)
-        around = shapely.box(*np.subtract(self.lower, reach), *np.add(self.upper, reach))
+        frame = shapely.box(*np.subtract(self.lower, reach), *np.add(self.upper, reach))
         # Where images overlap or solids touch, rounding would leave slivers and tiny edges with
         # arbitrary directions.
         step = 10.0 ** math.floor(math.log10(PRECISION * max(self.lengths)))
         parts = shapely.get_parts(self._images)
-        apart = parts[:0]
+        alone = parts[:0]
         if len(parts) > MOST_JOINED:
             # Joining many takes long, so solids that touch no other are not joined.
-            parts = parts[shapely.intersects(shapely.box(*shapely.bounds(parts).T), around)]
+            parts = parts[shapely.intersects(shapely.box(*shapely.bounds(parts).T), frame)]
             one, other = shapely.STRtree(parts).query(parts, "dwithin", distance=4.0 * step)
             touches = np.isin(np.arange(len(parts)), one[one != other])
-            apart, parts = parts[~touches], parts[touches]
+            alone, parts = parts[~touches], parts[touches]
         joined = shapely.get_parts(shapely.union_all(parts, grid_size=step))
-        solid = shapely.multipolygons(np.concatenate((apart, joined)))
-        return shapely.simplify(shapely.difference(around, solid, grid_size=step), 4.0 * step)
+        solid = shapely.multipolygons(np.concatenate((alone, joined)))
+        return shapely.simplify(shapely.difference(frame, solid, grid_size=step), 4.0 * step)
 
     @cached_property
     def _images(self) -> list[BaseGeometry]:
@@ -182,28 +183,27 @@ class PolygonDomain(Domain):
 
     def _walls_of(self, place: Array) -> Indices:
         """Return the wall of each point of the outline; -1 where the images end."""
-        points = shapely.points(place)
-        axes = (axis for axis in range(2) if not self.periodic[axis])
-        limits = [(axis, end[axis]) for axis in axes for end in (self.lower, self.upper)]
-        sides = [np.abs(place[:, axis] - end) for axis, end in limits]
-        distances = np.array([*sides, np.full(len(place), np.inf)])
-        least = distances.min(axis=0)
-        wall = distances.argmin(axis=0)
-        if self.solids:
-            # Of equally near walls, sides come first, then solids in their order.
-            edges = [edges_of([images]) for images in self._images]
-            owner = np.repeat(np.arange(len(edges)), [len(start) for start, _ in edges])
-            ends = np.concatenate([np.stack(each, axis=1) for each in edges])
-            tree = shapely.STRtree(shapely.linestrings(ends))
-            (which, nearest), distance = tree.query_nearest(points, return_distance=True)
-            solid = np.full(len(place), len(edges))
-            apart = np.full(len(place), np.inf)
-            np.minimum.at(solid, which, owner[nearest])
-            apart[which] = distance
-            wall = np.where(apart < least, len(sides) + solid, wall)
-            least = np.minimum(apart, least)
-        wall[least > math.sqrt(ROUNDING) * max(self.lengths)] = -1
+        edges = [*self._sides(), *(np.stack(edges_of([s]), axis=1) for s in self._images)]
+        if not edges:
+            return np.full(len(place), -1)
+        owner = np.repeat(np.arange(len(edges)), [len(ends) for ends in edges])
+        tree = shapely.STRtree(shapely.linestrings(np.concatenate(edges)))
+        (which, nearest), distance = tree.query_nearest(shapely.points(place), return_distance=True)
+        on_wall = distance <= math.sqrt(ROUNDING) * max(self.lengths)
+        # Of equally near walls, sides come first, then solids in their order.
+        wall = np.full(len(place), len(edges))
+        np.minimum.at(wall, which[on_wall], owner[nearest[on_wall]])
+        wall[wall == len(edges)] = -1
         return wall
+
+    def _sides(self) -> Iterator[Array]:
+        """Yield the ends (1, 2, 2) [m] of each side that is a wall, along all images of the box."""
+        ends = np.array([self.lower, self.upper])
+        for axis in np.flatnonzero(np.logical_not(self.periodic)):
+            for end in ends:
+                line = ends + np.array([[-1.0], [1.0]]) * self.lengths
+                line[:, axis] = end[axis]
+                yield line[None]
 
     @property
     def polygons(self) -> Sequence[tuple[str, BaseGeometry]]:
@@ -232,8 +232,8 @@ class PolygonDomain(Domain):
             return super().arms(name, place)
         images = place + np.array(periodic_shifts(self.lengths, self.periodic))[:, None]
         nearest = np.argmin(shapely.distance(shape, shapely.points(images)), axis=0)
-        own = images[nearest, np.arange(len(place))]
-        return own - shapely.get_coordinates(shapely.centroid(shape))[0]
+        image = images[nearest, np.arange(len(place))]
+        return image - shapely.get_coordinates(shapely.centroid(shape))[0]
 
     def circulation(self, name: str, velocity: Callable[[Array], Array]) -> float:
         """Return the integral of a solid's velocity along its edge, anticlockwise [m2/s]."""
@@ -242,10 +242,10 @@ class PolygonDomain(Domain):
         segments, wall = self._segments
         middle = 0.5 * (segments[:, :2] + segments[:, 2:4])
         inside = np.all((middle >= self.lower) & (middle < self.upper), axis=1)
-        own = inside & (wall == self.wall_names.index(name))
+        of_solid = inside & (wall == self.wall_names.index(name))
         # Segments have the fluid on their left, and the enclosed solid on their right.
-        steps = segments[own, 2:4] - segments[own, :2]
-        return -float(np.sum(velocity(middle[own]) * steps))
+        steps = segments[of_solid, 2:4] - segments[of_solid, :2]
+        return -float(np.sum(velocity(middle[of_solid]) * steps))
 
     def _nearest(self, position: Array) -> tuple[Array, Array, Indices]:
         n_points = len(position)
@@ -336,9 +336,8 @@ def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layer
         for ring in shapely.get_rings(shapely.get_parts(grown)):
             place = shapely.get_coordinates(ring)[:-1]
             along = np.roll(place, -1, axis=0) - place
-            heading = np.arctan2(along[:, 1], along[:, 0])
-            turn = np.abs(np.angle(np.exp(1j * (heading - np.roll(heading, 1)))))
-            corners = np.flatnonzero(turn > CORNER)
+            turn = left_turn(np.roll(along, 1, axis=0), along)
+            corners = np.flatnonzero(np.abs(turn) > CORNER)
             # The frame's lower edges belong to it.
             inside = np.all((place >= lower) & (place < upper), axis=1)
             found.append(place[corners][inside[corners]])
@@ -362,7 +361,7 @@ def _cut(line: BaseGeometry, frame: BaseGeometry) -> NDArray[np.object_]:
     parts = shapely.get_parts(
         shapely.line_merge(within) if isinstance(within, shapely.MultiLineString) else within
     )
-    return np.asarray(parts[shapely.length(parts) > 0.0])
+    return parts[shapely.length(parts) > 0.0]
 
 
 def _divided(line: BaseGeometry, corners: Array, spacing: float) -> Array:
@@ -378,7 +377,7 @@ def _divided(line: BaseGeometry, corners: Array, spacing: float) -> Array:
     if number < 1:
         return np.empty((0, 2))
     places = (np.arange(number) + gaps[0]) * (length / (number - 1 + gaps.sum()))
-    return np.asarray(shapely.get_coordinates(shapely.line_interpolate_point(line, places)))
+    return shapely.get_coordinates(shapely.line_interpolate_point(line, places))
 
 
 N_SHIFTS = 64
@@ -440,5 +439,5 @@ def _shifted(domain: Domain, particle_spacing: float, shift: Array) -> Array:
         number = domain.lengths[axis] / pitch
         last = round(number) if domain.periodic[axis] else math.ceil(number - shift[axis])
         axes.append(domain.lower[axis] + (np.arange(last) + shift[axis]) * pitch)
-    x, y = np.meshgrid(*axes)
-    return np.stack((x.ravel(), y.ravel()), axis=1)
+    x, y = axes
+    return lattice_points(x, y)

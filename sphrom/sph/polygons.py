@@ -58,8 +58,8 @@ def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
     turns = np.linspace(0.0, 2.0 * math.pi, N_CORNERS, endpoint=False)
     step = 2.0 * math.pi / N_CORNERS
     corner = radius * math.sqrt(step / math.sin(step))
-    around = np.stack((np.cos(turns), np.sin(turns)), axis=1)
-    return shapely.Polygon(np.array(centre) + corner * around)
+    directions = np.stack((np.cos(turns), np.sin(turns)), axis=1)
+    return shapely.Polygon(np.array(centre) + corner * directions)
 
 
 def digest(shape: BaseGeometry) -> str:
@@ -86,14 +86,14 @@ def jutting_corners(shape: BaseGeometry, reach: float) -> tuple[Array, Array]:
     for ring in shapely.get_rings(shapely.orient_polygons(shapely.get_parts(shape))):
         line = np.tile(shapely.get_coordinates(ring)[:-1], (3, 1))
         along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
-        own = slice(len(line) // 3, 2 * len(line) // 3)
+        once = slice(len(line) // 3, 2 * len(line) // 3)
         before, after = (
-            np.stack([np.interp(along[own] + way, along, axis) for axis in line.T], axis=1)
-            for way in (-reach, reach)
+            np.stack([np.interp(along[once] + step, along, axis) for axis in line.T], axis=1)
+            for step in (-reach, reach)
         )
-        a, b = (line[own] - before).T
-        c, d = (after - line[own]).T
-        places.append(line[own])
+        a, b = (line[once] - before).T
+        c, d = (after - line[once]).T
+        places.append(line[once])
         # The shape is on the left; the outline of a jutting corner turns right.
         turns.append(np.arctan2(b * c - a * d, a * c + b * d))
     place = np.concatenate(places)
@@ -110,23 +110,13 @@ def require_few_crossings(shapes: Iterable[BaseGeometry]) -> None:
     every = np.array(list(shapes), dtype=object)
     one, other = shapely.STRtree(every).query(every)
     # Shapes apart from all others do not cross any.
-    start, end = (corners.T for corners in edges_of(every[np.unique(one[one != other])]))
-    chosen = np.random.default_rng(0).permutation(start.shape[1])[:N_EDGES]
-    n_crossings = 0
-    for edge in chosen:
-        one, other = start[:, [edge]], end[:, [edge]]
-        apart = _side(one, other, start) * _side(one, other, end) < 0.0
-        crossed = apart & (_side(start, end, one) * _side(start, end, other) < 0.0)
-        n_crossings += int(np.sum(crossed))
-    crossings = 0.5 * n_crossings * start.shape[1] / max(1, len(chosen))
+    ends = np.stack(edges_of(every[np.unique(one[one != other])]), axis=1)
+    edges = shapely.linestrings(ends)
+    chosen = np.random.default_rng(0).permutation(edges)[:N_EDGES]
+    crossed, _ = shapely.STRtree(edges).query(chosen, predicate="crosses")
+    crossings = 0.5 * len(crossed) * len(edges) / max(1, len(chosen))
     if crossings > MOST_CROSSINGS:
         raise ValueError(f"outlines cross about {crossings:.0e} times; simplify them")
-
-
-def _side(start: Array, end: Array, place: Array) -> Array:
-    """Return 1 for places on the left of edges, -1 on the right; x and y are the first axis."""
-    (a, b), (x, y) = end - start, place - start
-    return np.sign(a * y - b * x)
 
 
 def periodic_shifts(
@@ -160,7 +150,7 @@ def connects_images(fluid: BaseGeometry, lengths: Lengths, axis: int) -> bool:
     """
     shift = [length if i == axis else 0.0 for i, length in enumerate(lengths)]
     shared = (part.intersection(translate(part, *shift)) for part in shapely.get_parts(fluid))
-    return any(both.area > ROUNDING * lengths[0] * lengths[1] for both in shared)
+    return any(overlap.area > ROUNDING * lengths[0] * lengths[1] for overlap in shared)
 
 
 def _joined_across(axis: int, parts: NDArray[np.object_], lengths: Lengths) -> Indices:
@@ -187,15 +177,15 @@ def least_widths(
     slack = SLACK * size
 
     def within(place: Array) -> Mask:
-        return np.asarray(np.all((place >= lower - slack) & (place <= upper + slack), axis=1))
+        return np.all((place >= lower - slack) & (place <= upper + slack), axis=1)
 
     edges = outline_of(fluid)
     wall = is_wall(0.5 * (edges[1] + edges[2])) & within(0.5 * (edges[1] + edges[2]))
-    ends = _ends(edges, wall, 1), _ends(edges, wall, -1)
+    widths = _ends(edges, wall, 1), _ends(edges, wall, -1)
     holes = [hole for part in shapely.get_parts(fluid) for hole in part.interiors]
     radii = shapely.maximum_inscribed_circle(shapely.polygons(np.array(holes, object)), 1e-3 * size)
-    least_gap = float(ends[0].min(initial=math.inf))
-    least_solid = float(np.min((*ends[1], *(2.0 * shapely.length(radii))), initial=math.inf))
+    least_gap = float(widths[0].min(initial=math.inf))
+    least_solid = float(np.min((*widths[1], *(2.0 * shapely.length(radii))), initial=math.inf))
     cut = outline_of(shapely.segmentize(fluid, size / N_PLACES))
     cut_wall = is_wall(0.5 * (cut[1] + cut[2]))
     # Small widths are searched first, because of thousands of edges few are near each other.
@@ -236,17 +226,17 @@ def _circles(
     middles, widths = [np.empty((0, 2))], [np.empty(0)]
     share = min(1.0, SHARE_NEAR * reach / float(np.max(np.ptp(end, axis=0))))
     n_pairs = len(corners) * len(start) * share
-    for few in np.array_split(corners, 1 + int(n_pairs) // N_PAIRS):
-        near = tree.query(shapely.points(end[few]), predicate="dwithin", distance=reach)
-        one, other = few[near[0]], near[1]
+    for batch in np.array_split(corners, 1 + int(n_pairs) // N_PAIRS):
+        found = tree.query(shapely.points(end[batch]), predicate="dwithin", distance=reach)
+        one, other = batch[found[0]], found[1]
         place = np.clip(_dot(end[one] - start[other], along[other]) / length[other] ** 2, 0.0, 1.0)
-        way = start[other] + place[:, None] * along[other] - end[one]
-        width = np.hypot(*way.T)
+        across = start[other] + place[:, None] * along[other] - end[one]
+        width = np.hypot(*across.T)
         # Neither of the corner's own sides leads into the circle.
         free = wall[other] & (width > slack)
-        free &= _dot(way, along[one]) >= -SLACK * width * length[one]
-        free &= _dot(way, after[one]) <= SLACK * width * np.hypot(*after[one].T)
-        middle, diameter = end[one][free] + 0.5 * way[free], width[free]
+        free &= _dot(across, along[one]) >= -SLACK * width * length[one]
+        free &= _dot(across, after[one]) <= SLACK * width * np.hypot(*after[one].T)
+        middle, diameter = end[one][free] + 0.5 * across[free], width[free]
         _, nearest = tree.query_nearest(
             shapely.points(middle), all_matches=False, return_distance=True
         )
@@ -259,8 +249,8 @@ def _circles(
 def _ends(edges: Array, wall: Mask, side: int) -> Array:
     """Return the widths [m] of ends and mouths of the fluid if `side` is 1, of solids if -1."""
     before, along, after = np.diff(edges, axis=0)
-    behind = _turn(before, along)
-    ahead = _turn(along, after)
+    behind = left_turn(before, along)
+    ahead = left_turn(along, after)
     length = np.hypot(*along.T)
     ends = wall & (np.minimum(side * behind, side * ahead) > LEAST_TURN)
     ends &= np.abs(np.abs(behind + ahead) - math.pi) < FACING
@@ -273,11 +263,11 @@ def _ends(edges: Array, wall: Mask, side: int) -> Array:
     return np.concatenate(widths)
 
 
-def _turn(one: Array, other: Array) -> Array:
+def left_turn(one: Array, other: Array) -> Array:
     """Return the left turns from vectors (n, 2) to others [rad]."""
     cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    return np.asarray(np.arctan2(cross, _dot(one, other)))
+    return np.arctan2(cross, _dot(one, other))
 
 
 def _dot(one: Array, other: Array) -> Array:
-    return np.asarray(one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1])
+    return one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1]

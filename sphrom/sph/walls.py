@@ -13,12 +13,16 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from sphrom.arrays import Array, Indices
-from sphrom.kernels import advection, ghost_fields, wall_sweeps
-from sphrom.kernels.sweeps import TINY, FluidConstants, RegularityConstants, X, gather
+from sphrom.arrays import Array
+from sphrom.kernels import advection, fields, ghost_fields, wall_sweeps
+from sphrom.kernels.cells import Search
+from sphrom.kernels.fields import FluidConstants, RegularityConstants
+from sphrom.kernels.pairs import TINY
+from sphrom.kernels.rectangles import Limits
+from sphrom.kernels.sweeps import gather
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of, volume_of
-from sphrom.sph.neighbourhood import MOVE_RATIO, Search, Sources, sort_sources
+from sphrom.sph.neighbourhood import MOVE_RATIO, Sources, sort_sources
 from sphrom.sph.polygons import jutting_corners
 
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
@@ -69,14 +73,12 @@ class GhostParticles:
         self.walls = walls
         self.fluid = fluid
         self.discretization = discretization
-        self.walls_return = discretization.wall_continuity == "adjoint"
         self.search_walls = domain.wall_search(spacing)
         self._depth: Array | float = 0.0
         if discretization.no_slip == "linear":
             self._depth = ghost_depths(domain, walls.position, discretization)
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
-        self._inverse_length = 1.0 / discretization.smoothing_length
         # Walls not parallel to the axes are treated like corners: normal to both axes.
         normal = np.ones_like(walls.position) if walls.normal is None else walls.normal
         self._normal = np.ascontiguousarray(normal.T)
@@ -94,11 +96,11 @@ class GhostParticles:
         reach = self.discretization.support_radius
         lattice = np.ascontiguousarray(domain.fill(spacing).T)
         near = sort_sources(lattice, domain, reach, spacing)
-        source = np.zeros((wall_sweeps.N_GHOST_ROWS, near.particle.size))
-        gather(near.particle, near.image, lattice, X, source)
+        source = np.zeros((fields.N_FIELDS, near.particle.size))
+        gather(near.particle, near.image, lattice, fields.X, source)
         means = np.empty((5, self._position.shape[1]))
-        search = near.grid, near.cell_start, reach, self._inverse_length
-        ghost_fields.ghost_means(self._position, source, *search, means)
+        search = near.search(reach, self.discretization.smoothing_length)
+        ghost_fields.ghost_means(self._position, source, search, means)
         return means[3]
 
     def _below_surface(self, weights: Array, depth: Array) -> Array:
@@ -116,14 +118,14 @@ class GhostParticles:
         share = np.zeros_like(weights)
         np.divide(weights, self._full_weights, out=share, where=self._full_weights > 0.0)
         rows = self.discretization.smoothing_length / self.discretization.particle_spacing
-        beside = np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
-        return np.maximum(beside, np.clip(np.minimum(depth, share / THIN_SHARE), 0.0, 1.0))
+        by_weight = np.clip(0.5 + (share - 0.5) * rows / SHARE_SLOPE, 0.0, 1.0)
+        return np.maximum(by_weight, np.clip(np.minimum(depth, share / THIN_SHARE), 0.0, 1.0))
 
     @property
     def search(self) -> Search:
-        """The arguments with which sweeps search ghosts."""
-        reach = self.discretization.support_radius
-        return self._near.grid, self._near.cell_start, reach, self._inverse_length
+        """The cells of the ghosts with the search radius."""
+        discretization = self.discretization
+        return self._near.search(discretization.support_radius, discretization.smoothing_length)
 
     def beside(
         self,
@@ -137,43 +139,43 @@ class GhostParticles:
 
         Parameters
         ----------
-        sources, source : of the fluid, with fields laid out as in `sphrom.kernels.sweeps`.
+        sources, source : of the fluid, with fields laid out as in `sphrom.kernels.fields`.
         reach : search radius for the fluid [m].
         body_force : (2, n_particles) [m/s2], or None.
         wall_speed : factor of the walls' velocity, or one for each ghost (n_ghosts,).
         """
-        search = (sources.grid, sources.cell_start, reach, self._inverse_length)
+        search = sources.search(reach, self.discretization.smoothing_length)
         means = np.empty((5, self._position.shape[1]))
-        ghost_fields.ghost_means(self._position, source, *search, means)
-        fluctuation, velocity, weights, flux = means[0], means[1:3], means[3], means[4]
+        ghost_fields.ghost_means(self._position, source, search, means)
+        fluctuation, u, v, weights, flux = means
         share: Array | float = 1.0
         if body_force is not None:
-            density = self.fluid.reference_density + source[wall_sweeps.DENSITY]
+            density = self.fluid.reference_density + source[fields.DENSITY]
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
-            ghost_fields.ghost_heads(self._position, source, force, weights, *search, head)
-            beside = fluctuation
-            fluctuation = beside + fluctuation_of(head, self.fluid.sound_speed)
+            ghost_fields.ghost_heads(self._position, source, force, weights, search, head)
+            without_head = fluctuation
+            fluctuation = without_head + fluctuation_of(head, self.fluid.sound_speed)
             if self._full_weights is not None:
                 row = self.discretization.particle_spacing * np.hypot(*force).max(initial=0.0)
                 share = self._below_surface(weights, head / max(row, TINY))
                 # What falls has no such head, which would pull it to the wall.
-                fluctuation = np.maximum(fluctuation, np.minimum(beside, 0.0))
+                fluctuation = np.maximum(fluctuation, np.minimum(without_head, 0.0))
         volume = share * volume_of(fluctuation, self.fluid.reference_density, self._mass)
-        fields = np.zeros((wall_sweeps.N_GHOST_ROWS, fluctuation.size))
-        fields[:2] = self._position
-        fields[wall_sweeps.DENSITY] = fluctuation
-        fields[wall_sweeps.U : wall_sweeps.V + 1] = self._velocity(velocity, wall_speed)
-        fields[wall_sweeps.VOLUME] = volume
-        fields[wall_sweeps.PRESSURE] = fluctuation
-        fields[wall_sweeps.DEPTH] = self._depth
-        if self.walls_return:
-            where = weights > 0.0
-            np.divide(volume * flux, weights, out=fields[wall_sweeps.RETURN], where=where)
+        ghost = np.zeros((fields.N_GHOST_ROWS, fluctuation.size))
+        ghost[:2] = self._position
+        ghost[fields.DENSITY] = fluctuation
+        ghost[fields.U : fields.V + 1] = self._velocity(np.stack((u, v)), wall_speed)
+        ghost[fields.VOLUME] = volume
+        ghost[fields.PRESSURE] = fluctuation
+        ghost[fields.DEPTH] = self._depth
+        if self.discretization.wall_continuity == "adjoint":
+            has_fluid = weights > 0.0
+            np.divide(volume * flux, weights, out=ghost[fields.RETURN], where=has_fluid)
         else:
             normal = 1.0 if self.discretization.wall_continuity == "paper" else self._normal
-            fields[wall_sweeps.NORMAL_X : wall_sweeps.NORMAL_Y + 1] = normal
-        return WallTerms(self, sources, source, fields, weights, search)
+            ghost[fields.NORMAL_X : fields.NORMAL_Y + 1] = normal
+        return WallTerms(self, sources, source, ghost, weights, search)
 
     def _velocity(self, mean: Array, wall_speed: float | Array) -> Array:
         """Return the ghosts' velocity (2, n_ghosts), given the fluid's interpolated one [m/s]."""
@@ -194,65 +196,69 @@ class GhostParticles:
         moves = np.any(self.walls.velocity.T != 0.0, axis=0)
         return np.where(moves, wall, mirrored)
 
-    def gathered(self, fields: Array) -> Array:
+    def gathered(self, ghost: Array) -> Array:
         """Return fields (n_fields, n_ghosts) as sources, including periodic images."""
         near = self._near
-        source = np.empty((len(fields), near.particle.size))
-        gather(near.particle, near.image, fields, X, source)
+        source = np.empty((len(ghost), near.particle.size))
+        gather(near.particle, near.image, ghost, fields.X, source)
         return source
 
 
 class WallTerms:
-    """The contributions of ghosts to the sums of particles near walls."""
+    """The contributions of ghosts to the sums of particles near walls.
+
+    Parameters
+    ----------
+    sources, source : of the fluid.
+    ghost : (n_fields, n_ghosts) the fields of ghosts.
+    weights : (n_ghosts,) the sum of the kernel at ghosts [1/m2].
+    search : with which ghosts search the fluid.
+    """
 
     def __init__(
         self,
         ghosts: GhostParticles,
         sources: Sources,
         source: Array,
-        fields: Array,
+        ghost: Array,
         weights: Array,
         search: Search,
     ) -> None:
         self._ghosts = ghosts
-        self._n_particles = sources.targets.size
-        self._targets = sources.targets
+        self._sources = sources
         self._source = source
-        self._fields, self._weights, self._fluid_search = fields, weights, search
-        self._ghost = ghosts.gathered(fields)
+        self._ghost = ghost
+        self._weights = weights
+        self._fluid_search = search
+        self._gathered = ghosts.gathered(ghost)
+        discretization = ghosts.discretization
         distance = ghosts.search_walls.distances(sources.targets, source)
-        near = distance < ghosts.discretization.support_radius
-        self._near = sources.targets[near]
-        nearest = NEAREST * ghosts.discretization.particle_spacing
-        self._distance = np.maximum(distance[near], nearest)
-        self._from_wall = np.maximum(distance, nearest)
-        self._particle = sources.particle
-
-    @property
-    def _pairs(self) -> tuple[Indices, Indices, Array, Array, Array, *Search]:
-        """The first arguments of sweeps over pairs of ghosts and particles near walls."""
-        fluid = self._particle, self._near, self._source
-        return *fluid, self._distance, self._ghost, *self._ghosts.search
+        near = distance < discretization.support_radius
+        self._distance = np.maximum(distance, NEAREST * discretization.particle_spacing)
+        self._beside = fields.BesideWalls(
+            sources.particle, sources.targets[near], source, self._distance[near]
+        )
 
     def regularity(self, constants: RegularityConstants) -> Array:
         """Return the sums (6, n_particles) over ghosts that `sweeps.regularity` includes."""
-        out = np.zeros((6, self._n_particles))
-        walls_return = float(self._ghosts.walls_return)
-        wall_sweeps.wall_regularity(*self._pairs, walls_return, constants, out)
+        out = np.zeros((6, self._sources.targets.size))
+        search = self._ghosts.search
+        wall_sweeps.wall_regularity(self._beside, self._gathered, search, constants, out)
         return out
 
     def damp(self, pressure: Array) -> None:
         """Set the damper's pressure of ghosts, given that of the fluid's sources (n_sources,)."""
-        fields = self._fields
+        ghost = self._ghost
+        damping = pressure - self._source[fields.DENSITY]
         ghost_fields.ghost_damping(
-            fields[:2],
+            ghost[:2],
             self._source,
-            pressure - self._source[wall_sweeps.DENSITY],
+            damping,
             self._weights,
-            *self._fluid_search,
-            fields[wall_sweeps.PRESSURE],
+            self._fluid_search,
+            ghost[fields.PRESSURE],
         )
-        self._ghost = self._ghosts.gathered(fields)
+        self._gathered = self._ghosts.gathered(ghost)
 
     def hold_back(self, shifting_velocity: Array, against: float = 1.0) -> None:
         """Limit shifting velocities (2, n_particles), so that no particle crosses a wall.
@@ -261,32 +267,39 @@ class WallTerms:
         """
         search = self._ghosts.search_walls
         spacing = self._ghosts.discretization.particle_spacing
-        limits = CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
+        limits = Limits(CLOSEST * spacing, TOUCHING * spacing, FELT * spacing, against)
         if not self._ghosts.discretization.shifting:
-            limits = 0.5 * CLOSEST * spacing, CLOSEST * spacing, FELT * spacing
-        fluid = self._particle, self._near, self._source
-        search.kernels.hold_back(*fluid, *search.lists, *limits, against, shifting_velocity)
+            limits = limits._replace(closest=0.5 * CLOSEST * spacing, touching=CLOSEST * spacing)
+        search.kernels.hold_back(self._beside, *search.lists, limits, shifting_velocity)
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
         """Add the ghosts' contribution to the acceleration (2, n_particles)."""
-        wall_sweeps.wall_rates(*self._pairs, regular, fluid, out)
+        search = self._ghosts.search
+        wall_sweeps.wall_rates(self._beside, self._gathered, search, regular, fluid, out)
 
     def forces(self, fluid: FluidConstants) -> Array:
         """Return the pressure and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
 
         `self._source` must contain the pressure and the Laplacian's factor.
         """
-        distance = np.empty(self._n_particles)
-        distance[self._particle[self._targets]] = self._from_wall
-        out = np.empty((4, self._fields.shape[1]))
+        particle = self._sources.particle
+        distance = np.empty(self._distance.size)
+        distance[particle[self._sources.targets]] = self._distance
+        out = np.empty((4, self._ghost.shape[1]))
         wall_sweeps.ghost_forces(
-            self._fields, self._source, distance[self._particle], *self._fluid_search, fluid, out
+            self._ghost, self._source, distance[particle], self._fluid_search, fluid, out
         )
         return out.reshape(2, 2, -1)
 
     def add_transport(self, out: Array) -> None:
         """Add the ghosts' contribution to the advection (3, n_particles) of Eq. 3.5-3.6."""
         part = np.zeros_like(out)
-        depth = self._ghost[wall_sweeps.DEPTH]
-        advection.transport(*self._pairs, depth, self._ghosts.fluid.reference_density, part)
+        advection.transport(
+            self._beside,
+            self._gathered,
+            self._ghosts.search,
+            self._gathered[fields.DEPTH],
+            self._ghosts.fluid.reference_density,
+            part,
+        )
         out += part

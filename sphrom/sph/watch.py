@@ -88,9 +88,11 @@ class Watch:
 
         now = power(time, position, velocity)
         if self._before is not None:
-            begin, then, *fields = self._before
-            step, middle = time - begin, 0.5 * (begin + time)
-            between = 0.5 * (power(middle, *fields) + power(middle, position, velocity))
+            begin, then, position_then, velocity_then = self._before
+            step = time - begin
+            middle = 0.5 * (begin + time)
+            power_then = power(middle, position_then, velocity_then)
+            between = 0.5 * (power_then + power(middle, position, velocity))
             work = step * (then + 4.0 * between + now) / 6.0
             self._work += work
             self._moved += abs(work)

@@ -11,7 +11,8 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
-from sphrom.metrics.measures import TORQUE, UNITS, FieldMeasure, Quantities, with_coefficients
+from sphrom.metrics.measures import TORQUE, FieldMeasure, Quantities, with_coefficients
+from sphrom.metrics.quantities import MEASURABLE
 from sphrom.sph.fluid import pressure_of
 
 if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs do not need
@@ -52,7 +53,7 @@ def field_datasets(measured: Mapping[str, Quantities]) -> dict[str, Array]:
 def write_positions(artifact: ArtifactWriter, measures: Mapping[str, FieldMeasure]) -> None:
     """Write the places of measured fields [m]."""
     for name, measure in measures.items():
-        if measure.normal is None:
+        if not measure.is_integral:
             artifact.write(f"measure/{name}/position", measure.position)
 
 
@@ -65,7 +66,7 @@ def read_quantities(artifact: Artifact, name: str) -> Quantities:
 
 def read_by_quantity(artifact: Artifact, begin: str) -> Quantities:
     """Return the quantities of the existing datasets whose names begin with `begin`."""
-    return {q: artifact.read(begin + q) for q in UNITS if begin + q in artifact}
+    return {q: artifact.read(begin + q) for q in MEASURABLE if begin + q in artifact}
 
 
 def totals(loads: Array) -> Quantities:

@@ -90,9 +90,7 @@ class Workspace(ArtifactFolder):
     def __init__(self, context: StageContext) -> None:
         super().__init__(context)
         # Requested figures change no artifact, and figures of measurements change no run.
-        bare = {"from_time": None, "coefficient": None}
-        recorded = self.case.scene.recorded.items()
-        measure = {name: each.model_copy(update=bare) for name, each in recorded}
+        measure = {name: one.of_runs for name, one in self.case.scene.recorded.items()}
         scene = self.case.scene.model_copy(update={"measure": measure})
         compare = self.case.compare.model_copy(update={"figures": ()})
         self._without_figures = self.case.model_copy(update={"compare": compare, "scene": scene})

@@ -24,7 +24,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_name
 from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
-from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
+from sphrom.metrics.measures import Quantities, of_a_run
+from sphrom.metrics.quantities import PLACED, components
 from sphrom.models import fom, stages
 from sphrom.models.contract import Ability, ModelRun, family_of, model_of
 from sphrom.models.stored_run import StoredRun
@@ -40,6 +41,8 @@ PLACE = "place"
 """Key of a run's scaled parameters."""
 ERROR = "error_estimate/"
 """Prefix of the datasets of error estimates, which some runs lack."""
+INDICES = {"complete_run": "complete", "estimated_run": f"{ERROR}run"}
+"""The datasets with the indices of those runs that others have, by their first axis."""
 MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
 
 
@@ -111,8 +114,8 @@ class SweptModel:
         case = self.workspace.case
         model = self._model
         # Valid runs of the case itself are kept, even with --force.
-        own = point in (case.plan.points if model is None else case.plan.rom_points(model))
-        workspace = Workspace(replace(self.workspace.context, keep_valid=own))
+        of_case = case.plan.points if model is None else case.plan.rom_points(model)
+        workspace = Workspace(replace(self.workspace.context, keep_valid=point in of_case))
         try:
             if model is None:
                 target = fom.ensure_run(workspace, point)
@@ -251,25 +254,23 @@ def read_points(
 
 def read_records(artifact: Artifact) -> list[RunRecord]:
     """Read all runs of an artifact."""
-    numbers = {"complete_run": artifact.read("complete").tolist()}
-    if f"{ERROR}run" in artifact:
-        numbers["estimated_run"] = artifact.read(f"{ERROR}run").tolist()
-    time = artifact.read("time") if numbers["complete_run"] else None
-    values: dict[int, dict[str, Any]] = {k: {"time": time} for k in numbers["complete_run"]}
+    points = read_points(artifact, range(len(STATES)))
+    values: list[dict[str, Any]] = [{} for _ in points]
+    indices = {axis: path for axis, path in INDICES.items() if path in artifact}
+    rows = {axis: artifact.read(path).tolist() for axis, path in indices.items()}
+    time = artifact.read("time") if rows["complete_run"] else None
+    for k in rows["complete_run"]:
+        values[k]["time"] = time
     for name in artifact.datasets:
         described = SCHEMAS["sphrom/sweep"].dataset(name)
         axis = "" if described is None else described.axes[0]
-        if axis in numbers and name not in ("complete", f"{ERROR}run"):
-            for k, value in zip(numbers[axis], artifact.read(name), strict=True):
+        if axis in rows and name != indices[axis]:
+            for k, value in zip(rows[axis], artifact.read(name), strict=True):
                 values[k][name] = value
     names = tuple(filter(None, str(artifact.attributes.get("derivative_names", "")).split(",")))
-    points = read_points(artifact, range(len(STATES)))
-    records = list[RunRecord]()
-    for k, status in enumerate(artifact.read("status").tolist()):
-        reason = str(artifact.attributes.get(f"failures/{k}", ""))
-        derived = names if k in values else ()
-        records.append(RunRecord(points[k], status, reason, values.get(k, {}), derived))
-    return records
+    reasons = [str(artifact.attributes.get(f"failures/{k}", "")) for k in range(len(points))]
+    runs = zip(points, artifact.read("status").tolist(), reasons, values, strict=True)
+    return [RunRecord(at, status, reason, v, names if v else ()) for at, status, reason, v in runs]
 
 
 def require_folder(workspace: Workspace) -> None:
@@ -291,7 +292,6 @@ def write_sweep(
 ) -> None:
     """Write the records of a sweep, replacing an earlier file."""
     model = sweep_model(workspace.case)
-    over = Workspace(replace(workspace.context, force=True))
-    with over.create(target) as artifact:
+    with workspace.create(target, over=True) as artifact:
         name = FULL if model is None else model.name
         write_records(artifact, name, records, statistics)

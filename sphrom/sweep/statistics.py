@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import product, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,8 @@ from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
-from sphrom.metrics.measures import PLACED, UNITS, Oscillating, components
+from sphrom.metrics.measures import Oscillating
+from sphrom.metrics.quantities import MEASURABLE, PLACED, components
 from sphrom.metrics.series import OSCILLATION
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
@@ -46,6 +47,15 @@ FIGURES = {
     " order), or including its interactions (total). Grey is the share of the model's error.",
 }
 """Captions of figures, by the suffix of their file names."""
+QUANTILE_COLUMNS = (
+    *("output", "unit", "at", "statistic", "value", "low", "high"),
+    *("sampling_low", "sampling_high"),
+)
+"""Columns of the table of quantiles; means and deviations have no interval by sampling alone."""
+INDEX_COLUMNS = (
+    *("output", "at", "parameter"),
+    *("first", "first_low", "first_high", "total", "total_low", "total_high"),
+)
 FINAL = "final_"
 """Prefix of the names of profiles along lines at the end of runs."""
 TIME: Along = "time"
@@ -77,24 +87,24 @@ def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Outpu
     They are followed by means over the times that count, and by figures of oscillations, which are
     NaN for runs without one. `trained` are the differences from `SweptModel.in_training`.
     """
-    whole = _stacked(runs)
+    over_time = _stacked(runs)
     differences = _stacked(trained)
-    yield from _outputs(case, TIME, whole, differences)
+    yield from _outputs(case, TIME, over_time, differences)
     if len(runs) and case.plan.counted("", runs[0]["time"]).any():
         time = runs[0]["time"]
-        means = _averaged(case, whole, time), _averaged(case, differences, time)
-        yield from _outputs(case, MEAN, *means)
+        means = _averaged(case, over_time, time)
+        yield from _outputs(case, MEAN, means, _averaged(case, differences, time))
     for name, measure in case.plan.oscillations.items():
-        oscillations = [oscillation_of(measure, values) for values in runs]
+        found = [oscillation_of(measure, values) for values in runs]
         for figure in OSCILLATION[:3]:
-            values = np.array([[each.get(figure, np.nan)] for each in oscillations])
+            values = np.array([[figures.get(figure, np.nan)] for figures in found])
             yield Output(f"{name}_{figure}", measure.units_of(figure), MEAN, values, None)
 
 
-def oscillation_of(each: Oscillating, values: Mapping[str, Any]) -> dict[str, float]:
+def oscillation_of(measure: Oscillating, values: Mapping[str, Any]) -> dict[str, float]:
     """Return the oscillation in a run from the values of its record."""
-    measured = {each.quantity: values[f"measure/{each.measure}/{each.quantity}"]}
-    return each.of(values["time"], measured)
+    measured = {measure.quantity: values[f"measure/{measure.measure}/{measure.quantity}"]}
+    return measure.of(values["time"], measured)
 
 
 def _stacked(runs: Values) -> dict[str, Array]:
@@ -104,23 +114,24 @@ def _stacked(runs: Values) -> dict[str, Array]:
     """
     arrays = {
         name: np.stack([values[name] for values in runs])
-        for name in (set(runs[0]).intersection(*runs) if runs else ())
+        for name in (runs[0] if runs else ())
         if name.startswith(("measure/", PLACE)) or name.endswith("_over_time")
+        if all(name in values for values in runs)
     }
     if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in arrays:
         arrays[ERROR] = np.stack([arrays.pop(path) for path in paths], axis=-1)
     return arrays
 
 
-def _averaged(case: Case, whole: Mapping[str, Array], time: Array) -> dict[str, Array]:
+def _averaged(case: Case, over_time: Mapping[str, Array], time: Array) -> dict[str, Array]:
     """Return means over time (n_runs, 1, ...), and root mean squares of errors over the fluid.
 
     Training runs may be shorter than other runs, or longer.
     """
-    means = {PLACE: whole[PLACE]} if PLACE in whole else {}
-    for path in whole.keys() - means:
+    means = {PLACE: over_time[PLACE]} if PLACE in over_time else {}
+    for path in over_time.keys() - means:
         _, name, quantity = path.split("/") if path.startswith("measure/") else ("", "", path)
-        common = whole[path][:, : len(time)]
+        common = over_time[path][:, : len(time)]
         late = common[:, case.plan.counted(name, time[: common.shape[1]])]
         if late.size and not quantity.startswith(FINAL):
             power = 2.0 if path == ERROR else 1.0
@@ -134,29 +145,34 @@ def _outputs(
     ending = "_mean" if along == MEAN else ""
     over_fluid = runs.get(ERROR)
     energies = runs["kinetic_energy_over_time"]
-    wrong = None
-    places = trained.get(PLACE)
-    variances = np.zeros(len(energies))
-    if places is not None:
-        variances = np.array([interpolation_variance(places, each) for each in runs[PLACE]])
+    energy_errors = None
     if over_fluid is not None:
-        mass, error = case.plan.mass * case.plan.n_particles, over_fluid[..., 0]
-        wrong = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
-    yield Output(f"kinetic_energy{ending}", "J/m", along, energies, wrong)
-    for name, head, quantity in product(case.scene.measure, ("", FINAL), UNITS):
+        mass = case.plan.mass * case.plan.n_particles
+        error = over_fluid[..., 0]
+        energy_errors = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
+    yield Output(f"kinetic_energy{ending}", "J/m", along, energies, energy_errors)
+    trained_places = trained.get(PLACE, np.zeros(0))
+    variances = np.zeros(len(energies))
+    if len(trained_places):
+        places = runs[PLACE]
+        variances = np.array([interpolation_variance(trained_places, place) for place in places])
+    for name, head, quantity in product(case.scene.measure, ("", FINAL), MEASURABLE):
         if (path := f"measure/{name}/{head}{quantity}") not in runs:
             continue
         parts: Mapping[str, Array] = {}
         if over_fluid is not None and path in trained:
-            differences, there = trained[path], over_fluid
+            differences = trained[path]
+            estimated = over_fluid
             if head:  # the end alone
-                differences, there = differences[:, None], there[:, -1:]
-            model_error = output_errors(differences, trained[PLACE], sound_averages(case))
-            errors = model_error.at(variances, there)
+                differences = differences[:, None]
+                estimated = estimated[:, -1:]
+            model_error = output_errors(differences, trained_places, sound_averages(case))
+            errors = model_error.at(variances, estimated)
             parts = components(quantity, errors[:, 0] if head else errors)
-        for component, each in components(quantity, runs[path]).items():
-            column, where = f"{name}_{head}{component}{ending}", LINE if head else along
-            yield Output(column, UNITS[quantity], where, each, parts.get(component))
+        for component, values in components(quantity, runs[path]).items():
+            column = f"{name}_{head}{component}{ending}"
+            kind = LINE if head else along
+            yield Output(column, MEASURABLE[quantity].unit, kind, values, parts.get(component))
 
 
 def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statistics | None:
@@ -167,7 +183,7 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
     """
     case = workspace.case
     section = case.sweep
-    sample = case.sweep.sample
+    sample = section.sample
     if sample is None or not section.levels:
         return None
     drawn = 2 * sample.count if sample.method == SALTELLI else sample.count
@@ -175,16 +191,18 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
     if len(complete) < fewest_runs(section.levels):
         return None
     places = scaled_parameters(case, [record.point for record in complete])
-    runs = [{**r.values, PLACE: each} for r, each in zip(complete, places, strict=True)]
+    runs = [{**run.values, PLACE: place} for run, place in zip(complete, places, strict=True)]
     trained = SweptModel(workspace).in_training([r.point for r in records if r.values])
     points = [record.point for record in complete] if sweep_model(case) is not None else []
     beyond = sum(bool(outside(point, case.plan.train_points)) for point in points)
     return Statistics(
         levels=np.array(section.levels),
         outputs={
-            each.name: spread(each.values, each.errors, section.levels, each.unit, each.along)
-            for each in map(existing, outputs_of(case, runs, trained))
-            if len(each.values) >= fewest_runs(section.levels)
+            output.name: spread(
+                output.values, output.errors, section.levels, output.unit, output.along
+            )
+            for output in map(existing, outputs_of(case, runs, trained))
+            if len(output.values) >= fewest_runs(section.levels)
         },
         indices=_indices(case, records) if sample.method == SALTELLI else {},
         n_runs=len(runs),
@@ -210,9 +228,9 @@ def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndice
 
     def of_all(values: Array) -> Array:
         """Return rows for all parameters, with zeros for those that are not drawn."""
-        whole = np.zeros((*values.shape[:-2], len(names), values.shape[-1]))
-        whole[..., [names.index(name) for name in drawn], :] = values
-        return whole
+        rows = np.zeros((*values.shape[:-2], len(names), values.shape[-1]))
+        rows[..., [names.index(name) for name in drawn], :] = values
+        return rows
 
     return {
         output.name: sobol_indices(output.values, len(drawn)).mapped(of_all)
@@ -258,52 +276,41 @@ def _quantile_rows(result: Statistics, time: Array) -> Iterator[dict[str, Any]]:
     `at` is the time [s]. It is the final time for means over time, and for lines the place on the
     line, from zero to one.
     """
-    for name, each in result.outputs.items():
-        rows: list[tuple[str, Array, Array, Array | None]] = [
-            ("mean", each.mean, each.mean_interval, None),
-            ("deviation", each.deviation, each.deviation_interval, None),
-        ]
+    for name, output in result.outputs.items():
+        rows = {
+            "mean": np.vstack((output.mean, output.mean_interval)),
+            "deviation": np.vstack((output.deviation, output.deviation_interval)),
+        }
         for i, level in enumerate(result.levels):
-            ends = each.interval[:, i], each.sampling_interval[:, i]
-            rows.append((f"quantile {level:g}", each.quantiles[i], *ends))
-        for k, at in enumerate(_instants(each.along, len(each.mean), time).tolist()):
-            for statistic, values, interval, sampling in rows:
-                yield {
-                    "output": name,
-                    "unit": each.unit,
-                    "at": at,
-                    "statistic": statistic,
-                    "value": float(values[k]),
-                    "low": float(interval[0, k]),
-                    "high": float(interval[1, k]),
-                    "sampling_low": None if sampling is None else float(sampling[0, k]),
-                    "sampling_high": None if sampling is None else float(sampling[1, k]),
-                }
+            ends = output.interval[:, i], output.sampling_interval[:, i]
+            rows[f"quantile {level:g}"] = np.vstack((output.quantiles[i], *ends))
+        for k, at in enumerate(_instants(output.along, len(output.mean), time).tolist()):
+            for statistic, figures in rows.items():
+                cells = (name, output.unit, at, statistic, *figures[:, k].tolist())
+                yield dict(zip_longest(QUANTILE_COLUMNS, cells))
 
 
 def _index_rows(result: Statistics, names: Sequence[str], time: Array) -> Iterator[dict[str, Any]]:
     """Yield the Sobol indices of each output, at each time, for each parameter."""
-    for name, each in result.indices.items():
-        instants = _instants(result.outputs[name].along, each.first.shape[1], time)
+    for name, index in result.indices.items():
+        first = index.first[None], index.first_interval
+        figures = np.concatenate((*first, index.total[None], index.total_interval))
+        instants = _instants(result.outputs[name].along, figures.shape[2], time)
         for k, at in enumerate(instants.tolist()):
             for i, parameter in enumerate(names):
-                row: dict[str, Any] = {"output": name, "at": at, "parameter": parameter}
-                for order in ("first", "total"):
-                    low, high = getattr(each, f"{order}_interval")[:, i, k].tolist()
-                    row[order] = float(getattr(each, order)[i, k])
-                    row |= {f"{order}_low": low, f"{order}_high": high}
-                yield row
+                cells = (name, at, parameter, *figures[:, i, k].tolist())
+                yield dict(zip(INDEX_COLUMNS, cells, strict=True))
 
 
 def draw_quantiles(result: Statistics, time: Array) -> Figure:
     """Draw quantiles over time, or along a line, with one panel per output."""
 
     def curves(name: str, x: Array) -> Iterator[Curve]:
-        each = result.outputs[name]
-        for level, values in zip(result.levels, each.quantiles, strict=True):
+        output = result.outputs[name]
+        for level, values in zip(result.levels, output.quantiles, strict=True):
             yield Curve(f"{100.0 * level:g} %", x, values)
-        yield Curve("mean", x, each.mean, "full")
-        for end, values in (("lowest", each.interval[0, 0]), ("highest", each.interval[1, -1])):
+        yield Curve("mean", x, output.mean, "full")
+        for end, values in (("lowest", output.interval[0, 0]), ("highest", output.interval[1, -1])):
             yield Curve(f"{end} end of intervals", x, values, "level")
 
     return _draw(result, time, curves)
@@ -316,14 +323,13 @@ def draw_indices(result: Statistics, parameters: Sequence[str], time: Array) -> 
     """
 
     def curves(name: str, x: Array) -> Iterator[Curve]:
-        each = result.indices[name]
-        share = result.outputs[name].error_share
-        first = "first order", each.first, each.first_interval
-        total = "total", each.total, each.total_interval
+        index = result.indices[name]
+        first = "first order", index.first, index.first_interval
+        total = "total", index.total, index.total_interval
         for k, parameter in enumerate(parameters):
             for order, values, interval in (first, total):
                 yield Curve(f"{parameter}, {order}", x, values[k], interval=interval[:, k])
-        if share is not None:
+        if (share := result.outputs[name].error_share) is not None:
             yield Curve("the model's error", x, share, "level")
 
     return _draw(result, time, curves, "Sobol index [–]")
@@ -336,12 +342,12 @@ def _draw(
     label: str | None = None,
 ) -> Figure:
     panels = []
-    for name, each in result.outputs.items():
-        if each.along != MEAN:
-            x = _instants(each.along, len(each.mean), time)
-            along = "place along the line [–]" if each.along == LINE else "time [s]"
+    for name, output in result.outputs.items():
+        if output.along != MEAN:
+            x = _instants(output.along, len(output.mean), time)
+            along = "place along the line [–]" if output.along == LINE else "time [s]"
             title = name.replace("_", " ")
-            shown = label or f"[{each.unit}]"
+            shown = label or f"[{output.unit}]"
             panels.append(Panel(title, along, shown, [*curves(name, x)]))
     return draw_grid([panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
 
@@ -356,12 +362,12 @@ def show(report: Reporter, result: Statistics) -> None:
     middle = int(np.argmin(np.abs(result.levels - 0.5)))
     levels = [f"{100.0 * level:g} %" for level in result.levels]
     rows = []
-    for name, each in result.outputs.items():
-        at = _shown(each)
-        half = 0.5 * float(np.ptp(each.interval[:, middle, at]))
-        cells = [each.mean[at], each.deviation[at], *each.quantiles[:, at], half]
+    for name, output in result.outputs.items():
+        at = _shown(output)
+        half = 0.5 * float(np.ptp(output.interval[:, middle, at]))
+        cells = [output.mean[at], output.deviation[at], *output.quantiles[:, at], half]
         shown = [format_figure(float(cell)) for cell in cells]
-        rows.append((f"{name.replace('_', ' ')} [{each.unit}]", *shown))
+        rows.append((f"{name.replace('_', ' ')} [{output.unit}]", *shown))
     report.table(
         f"statistics of {result.n_runs} runs at the final time; of profiles, in the middle",
         ("output", "mean", "deviation", *levels, f"{levels[middle]} within +-"),
@@ -375,10 +381,10 @@ def show(report: Reporter, result: Statistics) -> None:
     if result.method == SALTELLI and not result.indices:
         report.warn("statistics: no Sobol indices, because a run of their design has no result")
     shares = {}
-    for name, each in result.outputs.items():
-        if (share := each.error_share) is not None:
-            over_all = np.average(share, weights=each.deviation**2 + np.finfo(float).tiny)
-            shares[name] = max(float(over_all), float(share[_shown(each)]))
+    for name, output in result.outputs.items():
+        if (share := output.error_share) is not None:
+            over_all = np.average(share, weights=output.deviation**2 + np.finfo(float).tiny)
+            shares[name] = max(float(over_all), float(share[_shown(output)]))
     if noisy := [name for name, share in shares.items() if share > NOISY]:
         names = ", ".join(f"{name} ({100.0 * shares[name]:.0f} %)" for name in noisy)
         means = [f"{name}_mean" for name in noisy if shares.get(f"{name}_mean", 1.0) <= NOISY]

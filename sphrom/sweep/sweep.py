@@ -20,7 +20,7 @@ from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.hints import slow_sweep, sweep_beyond_training
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import sweep_model, sweep_name, sweep_points
+from sphrom.case.studies import changed, sweep_model, sweep_name, sweep_points
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
@@ -35,6 +35,7 @@ from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep import statistics
 from sphrom.sweep.batches import (
     COMPLETE,
+    ERROR,
     FAILED,
     MEASURED_ERRORS,
     NOT_RUN,
@@ -70,6 +71,8 @@ points and snapshots, root mean squares of estimated errors over those of the fi
 
 SHOWN = ("_mean", "_frequency", "_amplitude")
 """Suffixes of the names of measured figures that are shown."""
+BEYOND = {None: "", 0: "no", 1: "yes"}
+"""The words for runs outside of the trained range, unknown without an estimate."""
 Cells = dict[str, str | float | None]
 """The row of a run in the table, by column; None without a result or an estimate."""
 
@@ -159,9 +162,7 @@ def _make(
     n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
     number = min(number or runs_that_fit(case, "fom" if model is None else "rom"), n_tasks)
     # The case of a task has no values, because each process would parse a long list again.
-    bare = replace(
-        workspace.context, case=case.model_copy(update={"sweep": case.sweep.of_any_values})
-    )
+    bare = replace(workspace.context, case=changed(case, sweep=case.sweep.of_any_values))
     with start_workers(number, scheduler, report) as workers:
         size = 1
         if in_batches:
@@ -187,8 +188,8 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     names |= dict.fromkeys((*derivatives, "error_estimate_extrapolated", "reason"))
     for name, column in case.scene.columns.items():
         names |= {f"{name}_{statistic}": column.units for statistic in STATISTICS}
-    for name, each in case.plan.oscillations.items():
-        names |= {f"{name}_{figure}": each.units_of(figure) for figure in OSCILLATION}
+    for name, measure in case.plan.oscillations.items():
+        names |= {f"{name}_{figure}": measure.units_of(figure) for figure in OSCILLATION}
         names[f"{name}_reason"] = None
     return names
 
@@ -322,36 +323,40 @@ class Results:
 
 def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> list[Cells]:
     """Return the rows of runs, by column."""
-    rows: list[Cells] = []
-    for record in records:
-        values = {path.replace("/", "_"): value for path, value in record.values.items()}
-        row: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
-        beyond = {None: "", 0: "no", 1: "yes"}[values.get("error_estimate_extrapolated")]
-        row |= {"status": STATES[record.status], "reason": record.reason}
-        row |= {"error_estimate_extrapolated": beyond}
-        row |= {name: float(values[name]) for name in FIGURES if name in values}
-        derivatives = values.get("derivatives", np.zeros(0)).tolist()
-        row |= zip(record.derivative_names, derivatives, strict=True)
-        if MEASURED_ERRORS[0] in record.values:
-            pairs = zip(*(record.values[path].tolist() for path in MEASURED_ERRORS), strict=True)
-            shares = [100.0 * error / change if change > 0.0 else None for error, change in pairs]
-            names_of = (f"error_estimate_{name}" for name in case.scene.columns)
-            row |= zip(names_of, shares, strict=True)
-        rows.append(row)
-    complete = [k for k, record in enumerate(records) if record.values]
-    for path in records[complete[0]].values if complete else ():
-        if path.startswith("measure/"):
-            _, name, quantity = path.split("/")
-            series = np.stack([records[k].values[path] for k in complete])
-            counted = case.plan.counted(name, records[complete[0]].values["time"])
-            for figure, column in measures.statistics({quantity: series}, counted).items():
-                for k, value in zip(complete, column.tolist(), strict=True):
-                    rows[k][f"{name}_{figure}"] = value
-    for k, (name, each) in product(complete, case.plan.oscillations.items()):
-        figures = statistics.oscillation_of(each, records[k].values)
-        rows[k] |= {f"{name}_{figure}": value for figure, value in figures.items()}
-        rows[k][f"{name}_reason"] = "" if "frequency" in figures else NO_OSCILLATION
+    rows = [_row(case, record, names) for record in records]
+    complete = [(row, r.values) for row, r in zip(rows, records, strict=True) if r.values]
+    first = complete[0][1] if complete else {}
+    for path in first:
+        if not path.startswith("measure/"):
+            continue
+        _, name, quantity = path.split("/")
+        series = np.stack([values[path] for _, values in complete])
+        counted = case.plan.counted(name, first["time"])
+        for figure, column in measures.statistics({quantity: series}, counted).items():
+            for (row, _), value in zip(complete, column.tolist(), strict=True):
+                row[f"{name}_{figure}"] = value
+    for (row, values), (name, measure) in product(complete, case.plan.oscillations.items()):
+        figures = statistics.oscillation_of(measure, values)
+        row |= {f"{name}_{figure}": value for figure, value in figures.items()}
+        row[f"{name}_reason"] = "" if "frequency" in figures else NO_OSCILLATION
     return rows
+
+
+def _row(case: Case, record: RunRecord, names: Iterable[str]) -> Cells:
+    """Return the row of a run without its measurements."""
+    values = record.values
+    row: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
+    row |= {"status": STATES[record.status], "reason": record.reason}
+    row["error_estimate_extrapolated"] = BEYOND[values.get(f"{ERROR}extrapolated")]
+    for name in FIGURES:
+        if (value := values.get(name.replace("error_estimate_", ERROR))) is not None:
+            row[name] = float(value)
+    row |= zip(record.derivative_names, values.get("derivatives", ()), strict=True)
+    if MEASURED_ERRORS[0] in values:
+        pairs = np.stack([values[path] for path in MEASURED_ERRORS], axis=1).tolist()
+        for column, (error, change) in zip(case.scene.columns, pairs, strict=True):
+            row[f"error_estimate_{column}"] = 100.0 * error / change if change > 0.0 else None
+    return row
 
 
 def _missing(case: Case, rows: Sequence[Cells], records: Sequence[RunRecord]) -> Iterator[str]:
@@ -383,13 +388,13 @@ def _summary(
             continue
         cells = zip([row[name] for row in rows], points, strict=True)
         if pairs := [(value, point) for value, point in cells if isinstance(value, float)]:
-            some = f" of {len(pairs)} runs" if len(pairs) < n_complete else ""
+            n_runs = f" of {len(pairs)} runs" if len(pairs) < n_complete else ""
             mean = sum(value for value, _ in pairs) / len(pairs)
             least, most = (
                 (format_figure(value), ", ".join(f"{n} {v:.6g}" for n, v in at.as_dict().items()))
                 for value, at in (min(pairs), max(pairs))
             )
-            yield (f"{name.replace('_', ' ')} [{unit}]{some}", *least, format_figure(mean), *most)
+            yield (f"{name.replace('_', ' ')} [{unit}]{n_runs}", *least, format_figure(mean), *most)
 
 
 def show_lost(report: Reporter, runs: Sequence[RunRecord | Failure]) -> None:

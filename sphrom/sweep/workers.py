@@ -71,8 +71,15 @@ class Task:
     def context(self, **settings: Any) -> StageContext:
         """Return the context of the task, with further settings."""
         case = case_of_text(self.case_text, self.case_folder)
-        about = Path(self.out), self.force, self.threads, SilentReporter()
-        return StageContext(case, *about, bitwise=True, **settings)
+        return StageContext(
+            case,
+            out=Path(self.out),
+            force=self.force,
+            threads=self.threads,
+            report=SilentReporter(),
+            bitwise=True,
+            **settings,
+        )
 
 
 @dataclass(frozen=True)

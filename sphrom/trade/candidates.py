@@ -1,25 +1,23 @@
 """The models of a trade: reduced models of several sizes, and variants of the full model.
 
 A trade may include models for which the case has no operators. Their operators, and further full
-runs, are kept in the trade's own folder.
+runs with the models that are trained on them, are kept in the trade's own folder.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
-from pathlib import Path
-from types import MappingProxyType
 
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
-from sphrom.case.studies import at_resolution
-from sphrom.case.study_sections import TradeSection
+from sphrom.case.points import ParameterPoint, TestValues
+from sphrom.case.sections import ALL, LOCAL, MODELS, ReducedModelSection
+from sphrom.case.studies import at_resolution, changed, values_at
+from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, TrainingSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import Probes, Samples
 from sphrom.models import fom, stages
@@ -27,7 +25,9 @@ from sphrom.models.contract import Ability, family_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
+from sphrom.store.variants import Variant
 from sphrom.store.workspace import Workspace
+from sphrom.text import exact
 
 FOLDER = "trade"
 """Folder of a trade, within that of the case's artifacts."""
@@ -35,10 +35,19 @@ SIZES = (2, 5, 10, 20, 50)
 """Default numbers of modes, up to the size of the basis."""
 MOST_CLOSED_MODES = 20
 """Default limit of the modes of APG, whose cost grows with their fourth power."""
+OPERATORS = ("operators", "surface-operators")
+"""Kinds of artifacts that the models of a trade have of their own."""
 COURANT_NUMBERS = (0.75, 1.5)
 """Approximate c0 dt / h of further full runs (Eq. 2.19)."""
 SAME_STEP = 1e-9
 """Relative difference below which time steps are equal."""
+RESOLUTION = "resolution"
+FULL_MODEL: dict[str, tuple[str, str, tuple[float, ...]]] = {
+    "Mach number": ("fluid", "mach_number", (0.05, 0.1, 0.2, 0.3, 0.4)),
+    "h/dx": ("discretization", "smoothing_length_ratio", (1.2, 1.5, 2.0, 3.0, 4.0)),
+    RESOLUTION: ("discretization", "resolution", (10, 14, 20, 28, 40)),
+}
+"""Properties of the full model, with their section, key and values at extremes."""
 
 
 def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
@@ -72,24 +81,27 @@ def candidates(
     first = first_model(case).model_copy(update={"basis": basis})
     available = min(case.plan.basis_size(case.plan.basis_for(first, point)) for point in points)
     listed = case.trade.n_modes
-    sections = []
     if (largest := max(listed or (0,))) > available:
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {largest}")
     ends = {"galerkin": available}
     # The closure has operators for the viscosity only.
     if family_of(case).can(Ability.MEMORY) and not case.plan.driving:
-        own = also if first.projection == "apg" else ()
-        ends["apg"] = min(available, max((MOST_CLOSED_MODES, *own)))
+        wanted = also if first.projection == "apg" else ()
+        ends["apg"] = min(available, max((MOST_CLOSED_MODES, *wanted)))
+    sections = []
     for projection, end in ends.items():
-        for size in sorted(
-            {*(listed or (*filter(end.__gt__, SIZES), end)), *filter(end.__ge__, also)}
-        ):
-            name = f"weighed-{basis}-{projection}-m{size}"
-            keys = {"evaluation": "operators", "projection": projection, "basis": basis}
+        usual = listed or (*(size for size in SIZES if size < end), end)
+        for size in sorted({*usual, *(size for size in also if size <= end)}):
+            keys = {
+                "name": f"weighed-{basis}-{projection}-m{size}",
+                "evaluation": "operators",
+                "projection": projection,
+                "basis": basis,
+                "n_modes": size,
+            }
             if first.settles_on_cycles and projection == "galerkin":
                 keys["calibrated"] = "cycle"
-            named = {**keys, "name": name, "n_modes": size}
-            sections.append(ReducedModelSection.model_validate(named))
+            sections.append(MODELS.section(keys, {"scene": case.scene}))
     return sections
 
 
@@ -98,87 +110,118 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
 
     Operators that the case lacks are projected. Raises ArtifactError when artifacts are missing.
     """
-    own = context.case
+    case = context.case
     workspace = Workspace(context)
     for target in workspace.bases():
         workspace.require(target)
-    wider = replace(context, case=own.model_copy(update={"rom": (*own.rom, *models)}))
+    wider = changed(case, rom=(*case.rom, *models))
     parts = ("reference_bases", "memory_models", "corrected_bases", "surface_sizes")
-    kinds = "operators", "surface-operators"
-    if any(getattr(wider.case.plan, part) != getattr(own.plan, part) for part in parts):
-        wider = replace(wider, folders=dict.fromkeys(kinds, context.out / FOLDER))
-        stages.project(_own_context(wider))
-    workspace = Workspace(wider)
+    if any(getattr(wider.plan, part) != getattr(case.plan, part) for part in parts):
+        return Variant(context, wider, FOLDER, only=OPERATORS).made([stages.project])
+    workspace = Variant(context, wider).workspace
     workspace.require(workspace.operators())
     return workspace
 
 
-def _own_context(context: StageContext) -> StageContext:
-    """Return a context for the trade's own artifacts.
-
-    Artifacts that are out of date are overwritten; with --force all are. Stopped runs continue.
-    """
-    return replace(
-        context,
-        force=True,
-        keep_valid=not context.force,
-        resume=not context.force,
-        bitwise=True,
-        report=context.report.brief(progress=True),
-    )
-
-
 def variants(case: Case) -> dict[str, Case]:
     """Return the full model at other resolutions and Courant numbers, by label."""
-    own = case.discretization.resolution
-    resolutions = case.trade.resolutions or (own, coarser_resolution(case) or own)
+    resolution = case.discretization.resolution
+    resolutions = case.trade.resolutions or (resolution, coarser_resolution(case) or resolution)
     cases: dict[tuple[int, int], Case] = {}
     courant_numbers = COURANT_NUMBERS if case.trade.full_runs else ()
-    for resolution, courant in product(resolutions, courant_numbers):
-        variant = with_steps(case, resolution, courant)
-        cases.setdefault((resolution, variant.plan.steps.every), variant)
+    for number, courant in product(resolutions, courant_numbers):
+        variant = with_steps(case, number, courant)
+        cases.setdefault((number, variant.plan.steps.every), variant)
     usual = case.plan.steps.every
-    cases.pop((own, usual), None)
+    cases.pop((resolution, usual), None)
     return {f"full, {n} across, {usual / every:.2g} dt": v for (n, every), v in cases.items()}
 
 
 def with_steps(
     case: Case, resolution: int, courant: float, snapshots: TimeSteps | None = None
 ) -> Case:
-    """Return the full model at a resolution and at most a Courant number, with equal snapshots.
+    """Return the full model at a resolution and at most a Courant number.
 
     Steps are shortened so that whole ones fit between snapshots: `snapshots`, or the case's.
     """
     plan = snapshots or case.plan.steps
-    time = case.time.model_copy(update={"step": "auto", "courant_number": courant})
-    coarser = at_resolution(case, resolution).model_copy(update={"time": time})
+    coarser = at_resolution(case, resolution)
+    automatic = changed(coarser, time={"step": "auto", "courant_number": courant})
     # The spin-up must be a whole number of steps, too.
     unit = Fraction(plan.n_spin_up_steps, plan.every).denominator
-    fitting = plan.snapshot_interval / coarser.plan.step_target * (1.0 - SAME_STEP)
+    fitting = plan.snapshot_interval / automatic.plan.step_target * (1.0 - SAME_STEP)
     every = unit * math.ceil(fitting / unit)
-    changes = {
-        "time": case.time.model_copy(update={"step": plan.snapshot_interval / every}),
-        "snapshots": case.snapshots.model_copy(update={"every": every}),
-        "name": f"full-{resolution}-{every}",
-        "rom": (),
-        "trade": TradeSection(),
-    }
-    return coarser.model_copy(update=changes)
+    return changed(
+        coarser,
+        time={"step": plan.snapshot_interval / every},
+        snapshots={"every": every},
+        name=f"full-{resolution}-{every}",
+        rom=(),
+        trade=TradeSection(),
+    )
 
 
-def workspace_of(
-    workspace: Workspace, variant: Case, folders: Mapping[str, Path] = MappingProxyType({})
-) -> Workspace:
-    """Return the workspace of a variant, in a folder within that of the case.
+def varied_models(
+    case: Case,
+    points: tuple[Sequence[ParameterPoint], ParameterPoint],
+    sections: Sequence[ReducedModelSection],
+) -> Iterator[tuple[str, float, Case]]:
+    """Yield the full model at half resolution for all values of its properties, with models.
 
-    `folders` are the folders of kinds of artifacts that are kept elsewhere.
+    `points` are the training points, and the point at which models are judged.
     """
-    out = workspace.out / FOLDER / variant.name
-    context = replace(workspace.context, case=variant, out=out, folders=folders)
-    return Workspace(_own_context(context))
+    trained, judged = points
+    for varied, (section, key, values) in FULL_MODEL.items():
+        for value in values:
+            resolution = coarser_resolution(case) or case.discretization.resolution
+            changes = {section: {key: value}}
+            if varied == RESOLUTION:
+                resolution = int(value)
+                changes = {}
+                if value >= case.discretization.resolution:
+                    continue
+            other = changed(of_full_model(case, trained, [judged]), **changes)
+            variant = extreme(other, f"{key}-{exact(value)}", resolution, case.plan.steps)
+            yield varied, value, changed(variant, rom=in_all(sections))
 
 
-def make(variant: Workspace, label: str, points: Sequence[ParameterPoint]) -> list[ParameterPoint]:
+def of_full_model(
+    case: Case, points: Sequence[ParameterPoint], tested: Sequence[ParameterPoint] = ()
+) -> Case:
+    """Return the full model at training points, with one basis of them, and at others to test."""
+    others = [point for point in tested if point not in points]
+    test = values_at(others) if others else TestValues()
+    return changed(
+        case,
+        parameters={"train": values_at(points), "test": test},
+        basis={"subsets": {}, "lagrangian": False},
+        compare={"figures": ()},
+        # Sections of other studies may name models that the variant does not have.
+        sweep=SweepSection(),
+        fit=FitSection(),
+        training=TrainingSection(),
+    )
+
+
+def extreme(case: Case, name: str, resolution: int, snapshots: TimeSteps) -> Case:
+    """Return a variant at a resolution, with the snapshots of other steps."""
+    variant = with_steps(case, resolution, case.time.courant_number, snapshots)
+    return changed(variant, name=f"extreme-{resolution}-{name}")
+
+
+def in_all(models: Sequence[ReducedModelSection]) -> tuple[ReducedModelSection, ...]:
+    """Return models in the basis of all training runs."""
+    return tuple(model.model_copy(update={"basis": ALL}) for model in models)
+
+
+def variant_of(context: StageContext, case: Case, shared: tuple[str, ...] = ()) -> Variant:
+    """Return the variant with its artifacts, except `shared` kinds, in a folder of the trade."""
+    return Variant(context, case, f"{FOLDER}/{case.name}", shared)
+
+
+def make_runs(
+    variant: Variant, label: str, points: Sequence[ParameterPoint]
+) -> list[ParameterPoint]:
     """Make the missing full runs of a variant; return and warn of unstable points."""
     unstable = []
     for point in points:

@@ -1,4 +1,4 @@
-"""Ranges in which models are stable and accurate, from runs at extremes, with their causes.
+"""Ranges in which models are stable and accurate, from runs at extremes.
 
 A run is right if its errors are at most twice those of the default, which is the case's own model
 at its first test point or else training point. For full runs, the default is the change due to half
@@ -7,23 +7,17 @@ the resolution. The module also writes tables and draws maps of the ranges.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from sphrom.arrays import Array
-from sphrom.models.points.fast_model import FastRun
+from sphrom.errors import CaseError, ResourceError
 from sphrom.models.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, UNITS, StableRange
 from sphrom.plots.panels import new_figure, save, styled
 from sphrom.plots.tables import format_figure, write_csv, write_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA
-from sphrom.reduction.reduced_operators import stability_limits
-from sphrom.reduction.reference_model import Integrator, ReferenceModel
-from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.setup.assembly import MOST_GROWTH
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 from sphrom.trade.candidates import FOLDER
@@ -32,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ONE_RUN, RESOLUTION = "reynolds, one training run", "resolution"
+ONE_RUN = "reynolds, one training run"
 COARSE = ("Mach number", "h/dx")
 """Quantities that vary in full models of half the resolution."""
 HALF = "half as fine"
@@ -52,10 +46,6 @@ ALL_WRONG = 100.0
 """Errors above which a run is not a result [%]."""
 WIDTH, HEIGHT, ABOUT, LETTERS = 8.5, 0.27, 0.55, 5.5
 """Width of maps, height of a row and of title with labels [inch], and font size in cells."""
-SOUND = 0.1
-"""Share of pressure in the energy of an eigenvector above which it is sound."""
-PER_DECADE, DECADES = 20, 3
-"""Memory lengths to try in the search for a growing eigenvector."""
 FINE_BELOW = (STEP, MEMORY, TIME)
 """Quantities without a lower limit, also below the least value of the runs."""
 
@@ -96,15 +86,27 @@ class ExtremeRun:
     told: str = ""
     """Warnings of the run itself about its result."""
 
+    def failed(self, error: Exception) -> ExtremeRun:
+        """Set the state of a run that was refused, or became unstable."""
+        refused = isinstance(error, CaseError | ResourceError)
+        self.state = "refused" if refused else "unstable"
+        self.reason = str(error)
+        return self
+
     @property
     def model(self) -> str:
         """The label of the model."""
         if self.kind == "full":
             return f"full{self.steps}"
         name = "APG" if self.projection == "apg" else "Galerkin"
-        on = ", on particles" if self.kind == "particles" else ""
+        place = ", on particles" if self.kind == "particles" else ""
         scheme = ", Runge-Kutta" if self.steps == RUNGE_KUTTA else ""
-        return f"{name}, M = {self.n_modes}{on}{scheme}"
+        return f"{name}, M = {self.n_modes}{place}{scheme}"
+
+    @property
+    def of_model(self) -> tuple[str, str, int | None]:
+        """The kind of the model, its projection and its size."""
+        return self.kind, self.projection, self.n_modes
 
     @property
     def errors(self) -> Errors | None:
@@ -122,93 +124,6 @@ def _both(velocity: float | None, pressure: float | None) -> Errors | None:
     return None if velocity is None or pressure is None else (velocity, pressure)
 
 
-# Causes
-
-
-def limiting_step(reduced: ReferenceModel) -> tuple[str, float]:
-    """Return the mechanism that limits Runge-Kutta steps of a model, and the largest step [s].
-
-    The limit comes from an eigenvector of the Jacobian around the start or a training state. The
-    mechanism is sound if pressure has more than a share SOUND of its energy, else viscosity if it
-    decays faster than it oscillates, else convection.
-    """
-    values, vectors = np.linalg.eig(
-        reduced.polynomial.jacobians(_around_which(reduced), reduced.strongest)
-    )
-    limits = stability_limits(values.ravel().astype(np.complex128))
-    worst = int(limits.argmin())
-    vector = vectors.transpose(0, 2, 1).reshape(limits.size, -1)[worst]
-    return kind_of(reduced.basis, values.ravel()[worst], vector), float(limits[worst])
-
-
-def _around_which(reduced: ReferenceModel) -> Array:
-    """Return the states (n_states, n_modes) around which the model must be stable."""
-    start = reduced.start[None]
-    return start if reduced.states is None else np.vstack((start, reduced.states))
-
-
-def kind_of(basis: TrialBasis, value: complex, vector: Array) -> str:
-    """Return the mechanism of an eigenvalue [1/s] of a Jacobian and its eigenvector (n_modes,)."""
-    modes = basis.density_modes[: len(vector)]  # a model may integrate only the leading modes
-    pressure = (modes * basis.weights) @ modes.T
-    if (vector.conj() @ pressure @ vector).real > SOUND * np.linalg.norm(vector) ** 2:
-        return "sound"
-    return "viscosity" if abs(value.real) > abs(value.imag) else "convection"
-
-
-def growth(reduced: ReferenceModel, states: Array) -> tuple[float, str]:
-    """Return the fastest growth rate [1/s] around states (n_states, n_modes), and its cause.
-
-    Growth mainly in the last half of the modes is due to their noise. Growth in the first half is
-    due to energy that would go to the truncated modes.
-    """
-    values, vectors = np.linalg.eig(reduced.polynomial.jacobians(states, reduced.strongest))
-    worst = int(values.real.argmax())
-    vector = np.abs(vectors.transpose(0, 2, 1).reshape(values.size, -1)[worst]) ** 2
-    last = float(vector[len(vector) // 2 :].sum() / vector.sum())
-    return float(values.real.ravel()[worst]), "noise modes" if last > 0.5 else "aliasing"
-
-
-def longest_memory(near: ReferenceModel, far: ReferenceModel) -> float | None:
-    """Return the longest memory without growth, divided by the memory of the model `near`.
-
-    `far` is the same model with twice the memory, because the closure's part of a Jacobian is
-    proportional to the memory. Jacobians are those around the states of `near`. Returns None if
-    nothing grows in the range that is tried.
-    """
-    states = _around_which(near)
-    bare, longer = (m.polynomial.jacobians(states, m.strongest) for m in (near, far))
-    # If perturbations of the flow itself grow, only faster growth counts.
-    without = max(0.0, float(np.linalg.eigvals(2.0 * bare - longer).real.max()))
-    for power in range(-DECADES * PER_DECADE, DECADES * PER_DECADE + 1):
-        factor = 10.0 ** (power / PER_DECADE)
-        jacobians = bare + (factor - 1.0) * (longer - bare)
-        fastest = float(np.linalg.eigvals(jacobians).real.max()) - without
-        if fastest * near.output_times.duration > math.log(MOST_GROWTH):
-            return factor
-    return None
-
-
-def cause_of_divergence(run: FastRun, integrator: Integrator) -> str:
-    """Return the cause of a diverged run, from its steps and the eigenvalues along its path."""
-    reduced = run.reduced
-    if integrator.steps.system.integrator == RUNGE_KUTTA:
-        name, limit = limiting_step(reduced)
-        if run.time_step > limit:
-            return name
-    if reduced.memory_length is not None:
-        return "closure"
-    fastest, where = growth(reduced, _around_which(reduced))
-    if fastest * reduced.output_times.duration > math.log(MOST_GROWTH):
-        return where
-    if run.outside:
-        return "extrapolated rates"
-    return growth(reduced, run.done.coordinates[-1:])[1]
-
-
-# States and ranges
-
-
 def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str, float]) -> None:
     """Set the state of each run (right, wrong or unstable), and the mechanism of its errors.
 
@@ -218,7 +133,7 @@ def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str
     own : the case's own values of the varied quantities.
     """
     by_default = {
-        (run.varied, run.kind, run.projection, run.n_modes): run
+        (run.varied, run.of_model): run.errors
         for run in runs
         if run.value == 1.0 and run.steps != RUNGE_KUTTA
     }
@@ -232,19 +147,18 @@ def judge(runs: Sequence[ExtremeRun], default: tuple[str, int], own: Mapping[str
         elif run.varied in COARSE:
             # Models of half the resolution are judged by the default model at that resolution.
             of_map = (r for r in runs if r.varied == run.varied and r.errors)
-            same = [r for r in of_map if (r.kind, r.projection, r.n_modes) == ("fast", *default)]
+            same = [r for r in of_map if r.of_model == standard.of_model]
             nearest = min(same, key=lambda r: abs(r.value - own[r.varied]), default=standard)
             allowed = nearest.errors
         run.state = run.state or _state(run, allowed)
         if run.state == "stable":
-            key = run.varied, run.kind, run.projection, run.n_modes
-            is_right = key in by_default and _within(by_default[key].errors, allowed)
-            run.mechanism = _cause(run, allowed, is_right)
+            usual = by_default.get((run.varied, run.of_model))
+            run.mechanism = _cause(run, allowed, _within(usual, allowed))
 
 
 def _default_of(runs: Sequence[ExtremeRun], default: tuple[str, int]) -> ExtremeRun:
     usual = (r for r in runs if (r.varied, r.value, r.steps) == (STEP, 1.0, EXPONENTIAL))
-    return next(r for r in usual if (r.projection, r.n_modes) == default)
+    return next(r for r in usual if r.of_model == ("fast", *default))
 
 
 def _within(errors: Errors | None, allowed: Errors | None) -> bool:
@@ -290,7 +204,8 @@ def ranges_in(
         stable = _around(k, [run.state in ("right", "stable") for run in series])
         right = _around(k, [run.state == "right" for run in series])
         low, high = right or stable or (k, k)
-        lower = [0.0 if first.varied in FINE_BELOW else values[0], *values[1:]]
+        least = 0.0 if first.varied in FINE_BELOW else values[0]
+        lower = [least, *values[1:]]
         predicted, by = _predicted(series[k:], own_run)
         yield StableRange(
             varied=first.varied,
@@ -302,7 +217,7 @@ def ranges_in(
             right_to=None if right is None else values[high],
             stable_from=None if stable is None else lower[stable[0]],
             stable_to=None if stable is None else values[stable[1]],
-            least=lower[0],
+            least=least,
             greatest=values[-1],
             below=series[low - 1].mechanism if low > 0 else "",
             above=series[high + 1].mechanism if high + 1 < len(series) else "",
@@ -316,34 +231,26 @@ def _series(runs: Sequence[ExtremeRun]) -> list[list[ExtremeRun]]:
     series: dict[tuple[str, str], list[ExtremeRun]] = {}
     for run in runs:
         series.setdefault((run.varied, run.model), []).append(run)
-    return [sorted(each, key=lambda run: run.value) for each in series.values()]
+    return [sorted(found, key=lambda run: run.value) for found in series.values()]
 
 
 def _around(k: int, good: Sequence[bool]) -> tuple[int, int] | None:
     """Return the first and last index of the good values around index k; None if k is not good."""
     if not good[k]:
         return None
-    low = high = k
-    while low > 0 and good[low - 1]:
-        low -= 1
-    while high + 1 < len(good) and good[high + 1]:
-        high += 1
-    return low, high
+    bad = np.flatnonzero(np.logical_not(good))
+    return int(bad[bad < k].max(initial=-1)) + 1, int(bad[bad > k].min(initial=len(good))) - 1
 
 
 def _predicted(series: Sequence[ExtremeRun], own: ExtremeRun) -> tuple[float | None, str]:
     """Return the greatest value that is predicted to be stable or right, and the method."""
     first = series[0]
     if first.predicted is not None:
-        way = "formula" if first.kind == "full" else "eigenvalue"
-        return first.predicted * first.natural / first.value, way
+        method = "formula" if first.kind == "full" else "eigenvalue"
+        return first.predicted * first.natural / first.value, method
     estimates = (_both(run.velocity_estimate, run.pressure_estimate) for run in series)
-    good = [_within(each, own.errors) for each in estimates]
-    last = _around(0, good)
+    last = _around(0, [_within(estimate, own.errors) for estimate in estimates])
     return (None, "") if last is None else (series[last[1]].natural, "estimate")
-
-
-# Tables and pictures
 
 
 def publish(
@@ -358,13 +265,17 @@ def publish(
     ranges = list(ranges_in(runs, default, own))
     report = workspace.context.report
     write_csv(workspace.folder(FOLDER) / "extremes.csv", runs)
-    about = {"basis": workspace.basis().inputs_digest}
-    tables: dict[str, Sequence[Any]] = {"extremes": runs, "ranges": ranges}
-    write_json(workspace.out / FILE, tables, workspace.case.name, workspace.threads, **about)
+    write_json(
+        workspace.out / FILE,
+        {"extremes": runs, "ranges": ranges},
+        workspace.case.name,
+        workspace.threads,
+        basis=workspace.basis().inputs_digest,
+    )
     save(draw_maps(runs), workspace.folder(FOLDER) / "extremes.png")
     rows: dict[str, list[tuple[str, ...]]] = {}
-    for each, series in zip(ranges, _series(runs), strict=True):
-        rows.setdefault(each.varied, []).append(_cells(each, series[0]))
+    for found, series in zip(ranges, _series(runs), strict=True):
+        rows.setdefault(found.varied, []).append(_cells(found, series[0].model))
     for varied, cells in rows.items():
         report.table(f"{varied}{UNITS.get(varied, '')}", HEADINGS, cells)
     if (own_run := _default_of(runs, default)).errors is not None:
@@ -386,13 +297,13 @@ def publish(
     report.result(f"extremes.csv, extremes.json and extremes.png are in {workspace.out / FOLDER}")
 
 
-def _cells(each: StableRange, run: ExtremeRun) -> tuple[str, ...]:
-    right = _span(each.right_from, each.right_to)
-    stable = _span(each.stable_from, each.stable_to)
+def _cells(found: StableRange, model: str) -> tuple[str, ...]:
+    right = _span(found.right_from, found.right_to)
+    stable = _span(found.stable_from, found.stable_to)
     predicted = ""
-    if each.predicted is not None:
-        predicted = f"{format_figure(each.predicted)} ({each.predicted_by})"
-    return run.model, right, stable, each.below, each.above, predicted
+    if found.predicted is not None:
+        predicted = f"{format_figure(found.predicted)} ({found.predicted_by})"
+    return model, right, stable, found.below, found.above, predicted
 
 
 def _span(low: float | None, high: float | None) -> str:

@@ -19,8 +19,9 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare import costs
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
-from sphrom.metrics.measures import Samples, parts, since, variations, without_weight
+from sphrom.metrics.measures import Samples, since, variations, without_weight
 from sphrom.metrics.measures import errors_of as relative_errors
+from sphrom.metrics.quantities import parts
 from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.models.contract import Model, model_of
 from sphrom.models.fom import N_TIMED_STEPS
@@ -34,9 +35,18 @@ from sphrom.store.stored_run import probes_of
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
-from sphrom.trade import candidates as weighed_models
 from sphrom.trade import weighing
-from sphrom.trade.candidates import FOLDER, candidates, first_model, trade_points
+from sphrom.trade.candidates import (
+    FOLDER,
+    candidates,
+    first_model,
+    make_runs,
+    prepared,
+    sampled,
+    trade_points,
+    variant_of,
+    variants,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,14 +90,15 @@ class _Trade:
     """Runs all models one after the other, and compares them with the case's own full runs."""
 
     def __init__(self, context: StageContext) -> None:
+        case = context.case
         self.workspace = Workspace(context)
-        self.case = context.case
-        points = context.chosen(trade_points(self.case))
-        self.models = candidates(self.case, points, first_model(self.case).basis)
-        self.wider = weighed_models.prepared(context, self.models)
-        self.probes = probes_of(self.case)
-        self.measured = self.case.trade.measure
-        self.oscillating = self.case.plan.oscillations.get(self.measured or "")
+        self.case = case
+        points = context.chosen(trade_points(case))
+        self.models = candidates(case, points, first_model(case).basis)
+        self.wider = prepared(context, self.models)
+        self.probes = probes_of(case)
+        self.measured = case.trade.measure
+        self.oscillating = case.plan.oscillations.get(self.measured or "")
         if self.oscillating is not None:
             self.measured = self.oscillating.measure
         self.full: dict[ParameterPoint, Samples] = {}
@@ -97,7 +108,7 @@ class _Trade:
             self.full[point] = self._sampled(self.workspace, point)
 
     def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
-        return weighed_models.sampled(workspace, point, self.probes, self.measured)
+        return sampled(workspace, point, self.probes, self.measured)
 
     def _full_seconds(self, workspace: Workspace, step: float) -> float:
         """Return the measured time of a full run on this machine [s], with a time step [s]."""
@@ -111,66 +122,68 @@ class _Trade:
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
             imported = costs.is_imported(artifact)
         # Only times that were measured alike are divided, so its steps are timed now, too.
-        own_seconds = None if imported else self._full_seconds(self.workspace, step)
-        self.full_seconds = own_seconds
-        own = weighing.ModelRow(
+        full_seconds = None if imported else self._full_seconds(self.workspace, step)
+        full = weighing.ModelRow(
             model="full, as in the case",
             family="full",
             kind="full",
             resolution=self.case.discretization.resolution,
             time_step=self.case.plan.steps.time_step if imported else step,
-            online_seconds=own_seconds,
+            online_seconds=full_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
-        each = [self._full(*variant) for variant in weighed_models.variants(self.case).items()]
-        each += self._reduced()
+        found = [self._full(label, other) for label, other in variants(self.case).items()]
+        with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
+            for section in self.models:
+                found.append(self._reduced(section, full_seconds))
+                advance(1)
 
         def trained(point: ParameterPoint) -> Samples:
             return self.full.get(point) or self._sampled(self.workspace, point)
 
         without = list(weighing.alternatives(self.case, self.full, trained, self._errors))
         measure = weighing.Measure.of_case(self.case)
-        rows = weighing.weighed([own, *(row for row, _ in each)], without, measure)
-        return Results(rows, without, [run for _, runs in each for run in runs], measure)
+        rows = weighing.weighed([full, *(row for row, _ in found)], without, measure)
+        return Results(rows, without, [run for _, runs in found for run in runs], measure)
 
     def _full(self, label: str, variant: Case) -> Rows:
-        workspace = weighed_models.workspace_of(self.workspace, variant)
-        unstable = weighed_models.make(workspace, label, list(self.full))
-        runs = []
+        made = variant_of(self.workspace.context, variant)
+        unstable = make_runs(made, label, list(self.full))
+        workspace = made.workspace
         step = variant.plan.steps.time_step
-        seconds = None if unstable else self._full_seconds(workspace, step)
+        described = {
+            "model": label,
+            "role": "full",
+            "time_step": step,
+            "seconds": None if unstable else self._full_seconds(workspace, step),
+        }
+        runs = []
         for point in self.full:
             samples = None if point in unstable else self._sampled(workspace, point)
-            runs.append(
-                self._row(point, samples, seconds, model=label, role="full", time_step=step)
-            )
+            runs.append(self._row(point, samples, **described))
         resolution = variant.discretization.resolution
         return weighing.ModelRow.of(runs, family="full", kind="full", resolution=resolution), runs
 
-    def _reduced(self) -> list[Rows]:
-        with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
-            rows = []
-            for model in self.models:
-                rows.append(self._of(model))
-                advance(1)
-        return rows
-
-    def _of(self, section: ReducedModelSection) -> Rows:
+    def _reduced(self, section: ReducedModelSection, full_seconds: float | None) -> Rows:
         """Run a reduced model at all points; return its rows."""
         fast = model_of(self.wider, section)
         family = "APG" if section.projection == "apg" else "Galerkin"
-        own = [m for m in self.case.rom if m.model_copy(update={"name": section.name}) == section]
-        label = f"{family}, M = {section.size}" + (f" ({own[0].name})" if own else "")
-        listed = (*own, section)[0].model_dump(exclude_defaults=True)
-        keys = ", ".join(f"{key}: {value}" for key, value in listed.items())
+        label = f"{family}, M = {section.size}"
+        listed = section
+        for model in self.case.rom:
+            if model.model_copy(update={"name": section.name}) == section:
+                label += f" ({model.name})"
+                listed = model
+                break
+        keys = listed.model_dump(exclude_defaults=True).items()
         runs = [self._fast(fast, label, point) for point in self.full]
         offline, training = costs.offline_seconds(
-            self.wider, section, list(self.full), self.full_seconds
+            self.wider, section, list(self.full), full_seconds
         )
         row = weighing.ModelRow.of(
             runs,
             family=family,
-            keys=f"{{{keys}}}",
+            keys=f"{{{', '.join(f'{key}: {value}' for key, value in keys)}}}",
             kind="operators",
             n_modes=section.n_modes,
             resolution=self.case.discretization.resolution,
@@ -181,14 +194,20 @@ class _Trade:
 
     def _fast(self, fast: Model[Any], label: str, point: ParameterPoint) -> weighing.RunRow:
         measure = self.measured
-        role = role_of(self.case, fast.basis_at(point), point)
         run, seconds = fast.timed(point, self.case.trade.repeats)
         samples = None
         if run.failure is None:
             samples = run.sampled(self.probes.all)
             if measure is not None:
                 samples = replace(samples, measured=run.measured[measure])
-        row = self._row(point, samples, seconds, model=label, role=role, time_step=run.time_step)
+        row = self._row(
+            point,
+            samples,
+            model=label,
+            role=role_of(self.case, fast.basis_at(point), point),
+            time_step=run.time_step,
+            seconds=None if samples is None else seconds,
+        )
         if measure is None or samples is None or self.oscillating is not None:
             return row
         first = f"{measure}_{next(iter(run.measured[measure]))}"
@@ -196,22 +215,21 @@ class _Trade:
         return replace(row, errors={**row.errors, weighing.ESTIMATE: estimate})
 
     def _row(
-        self, point: ParameterPoint, samples: Samples | None, seconds: float | None, **about: Any
+        self, point: ParameterPoint, samples: Samples | None, **described: Any
     ) -> weighing.RunRow:
         """Return the row of a run; without samples, it became unstable."""
         return weighing.RunRow(
-            **about,
             parameters=point.label,
             status="unstable" if samples is None else "complete",
-            seconds=None if samples is None else seconds,
             errors=weighing.UNSTABLE if samples is None else self._errors(point, samples),
+            **described,
         )
 
     def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
-        both = samples, self.full[point]
+        run, full = samples, self.full[point]
         if (weight := self.case.plan.weight_at(point, self.probes.all)) is not None:
-            both = without_weight(*both, weight)
-        history = compare(*both, self.probes, self.case.compare.from_time)
+            run, full = without_weight(run, full, weight)
+        history = compare(run, full, self.probes, self.case.compare.from_time)
         if not len(history.time):
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: the full run is constant "
@@ -231,13 +249,14 @@ class _Trade:
         compared = since(full.time, self.case.compare.from_time)
         compared &= self.case.plan.counted(self.measured or "", full.time)
         for quantity, reference in full.measured.items():
-            values, exact = samples.measured[quantity][compared], reference[compared]
+            exact = reference[compared]
             sizes = variations(quantity, exact, with_weight=self.case.plan.with_weight)
-            found, expected = (parts(quantity, each) for each in (values, exact))
+            found = parts(quantity, samples.measured[quantity][compared])
+            expected = parts(quantity, exact)
             for part, size in sizes.items():
-                both = relative_errors(part, found[part], expected[part], size)
+                overall, peak = relative_errors(part, found[part], expected[part], size)
                 name = f"measured_{part}_relative_l2"
-                errors |= zip((name, f"{name}_peak"), both, strict=True)
+                errors |= {name: overall, f"{name}_peak": peak}
         return errors
 
 
@@ -250,8 +269,8 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
     measure = results.measure
     tables: dict[str, Sequence[Any]]
     tables = {"models": rows, "runs": results.runs, "doing_nothing": without}
-    for name, each in tables.items():
-        write_csv(folder / f"{name}.csv", each)
+    for name, table in tables.items():
+        write_csv(folder / f"{name}.csv", table)
     words = "`--tolerance 1%` recommends the cheapest model within 1 %"
     if tolerance is not None:
         maps = {row.model: _mapped(workspace, row) for row in rows if row.kind != "full"}
@@ -259,14 +278,19 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
         possible = [row for row in rows if row.model not in unstable]
         advice, words = weighing.recommend(possible, without, tolerance, measure)
         advice["unstable_by_maps"] = ", ".join(unstable)
-        if ranges := "; ".join(each.words for each in maps.get(advice["model"], ())):
+        if ranges := "; ".join(found.words for found in maps.get(advice["model"], ())):
             words += f". Its maps of extremes: {ranges}"
         tables["recommendation"] = rows_of_columns(dict.fromkeys(advice), [advice])
     case = workspace.case
-    path = folder / "trade.json"
-    seconds = timed_words(workspace.case)
-    words_of = {"seconds": seconds, "judged_by": measure.words}
-    write_json(path, tables, case.name, workspace.threads, **words_of)
+    seconds = timed_words(case)
+    write_json(
+        folder / "trade.json",
+        tables,
+        case.name,
+        workspace.threads,
+        seconds=seconds,
+        judged_by=measure.words,
+    )
     save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst time, pressure "
@@ -281,13 +305,13 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
         ),
         [
             _cells(rows[0], measure),
-            *((e.name, "", *_errors(e.errors, measure), *("" for _ in HEADINGS)) for e in without),
+            *([e.name, "", *_errors(e.errors, measure), *[""] * len(HEADINGS)] for e in without),
             *(_cells(row, measure) for row in rows[1:]),
         ],
     )
-    errors = [row.errors for row in rows] + [each.errors for each in without]
+    errors = [row.errors for row in rows] + [alternative.errors for alternative in without]
     oscillates = measure.quantities == weighing.OSCILLATION
-    if oscillates and None in [measure.of(each, "frequency") for each in errors]:
+    if oscillates and None in [measure.of(found, "frequency") for found in errors]:
         report.info(f"there are no errors where a run is unstable or has {NO_OSCILLATION}")
     report.prose(words)
     report.info(f"tables, trade.json and trade.png are in {folder}")
@@ -314,20 +338,18 @@ def timed_words(case: Case) -> str:
     )
 
 
-def _cells(row: weighing.ModelRow, measure: weighing.Measure) -> tuple[str, ...]:
-    reduced = row.kind != "full"
-    pays = "never" if row.break_even_runs is None else counted(row.break_even_runs, "run")
-    if row.offline_seconds is None or row.speed_up is None:
-        pays = UNKNOWN
-    gains = [
-        _known(row.offline_seconds) if reduced else "",
-        *map(_known, (row.online_seconds, row.speed_up)),
-        pays if reduced else "",
-        row.beaten_by or "",
-    ]
-    if not row.stable:
-        gains[1:] = ["unstable", "", "", ""]
-    return row.model, format_figure(row.time_step), *_errors(row.errors, measure, row), *gains
+def _cells(row: weighing.ModelRow, measure: weighing.Measure) -> list[str]:
+    offline = pays = ""
+    if row.kind != "full":
+        offline = _known(row.offline_seconds)
+        pays = "never" if row.break_even_runs is None else counted(row.break_even_runs, "run")
+        if row.offline_seconds is None or row.speed_up is None:
+            pays = UNKNOWN
+    gains = ["unstable", "", "", ""]
+    if row.stable:
+        gains = [_known(row.online_seconds), _known(row.speed_up), pays, row.beaten_by or ""]
+    errors = _errors(row.errors, measure, row)
+    return [row.model, format_figure(row.time_step), *errors, offline, *gains]
 
 
 def _errors(
@@ -336,10 +358,10 @@ def _errors(
     """Return the compared errors, overall / at the worst time, with a mark on the Pareto front."""
     cells = []
     for quantity in (*measure.quantities, *measure.parts):
-        both = (measure.of(errors, quantity, peak=peak) for peak in (False, True))
+        pair = (measure.of(errors, quantity, peak=peak) for peak in (False, True))
         fronts = {} if row is None or quantity in measure.parts else row.fronts
         mark = ON_FRONT if fronts.get(weighing.FRONTS.get(quantity, "")) else " "
-        cells.append(" / ".join(map(format_figure, both)) + mark)
+        cells.append(" / ".join(map(format_figure, pair)) + mark)
     if (estimate := errors[weighing.ESTIMATE]) is not None:
         cells[0] += f" ({format_figure(estimate)})"
     return cells
@@ -373,31 +395,35 @@ def draw_trade(results: Results) -> Figure:
 
 
 def _panel(results: Results, quantity: str) -> Panel:
-    measure = results.measure
-    places = _places(results, quantity)
-    own_seconds = results.rows[0].online_seconds
+    marks = _marks(results, quantity)
+    full_seconds = results.rows[0].online_seconds
     curves = []
     for k, family in enumerate(dict.fromkeys(row.family for row in results.rows[1:])):
-        own = [(s, e) for s, e, row in places if row.family == family]
-        x, y = np.array(own, dtype=float).reshape(-1, 2).T
+        of_family = [mark[:2] for mark in marks if mark[2].family == family]
+        x, y = np.array(of_family, dtype=float).reshape(-1, 2).T
         curves.append(Curve(family, x, y, "reference", place=k))
     if front := _front(results, quantity):
         # The front is drawn in steps, because no model lies between two of its points.
-        x, y = np.array([place[:2] for place in front]).T
+        x, y = np.array([mark[:2] for mark in front]).T
         curves.append(Curve("Pareto front", np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1], "level"))
-    seconds = [s for s, *_ in places] + [own_seconds or 1.0]
-    for each in results.without:
-        error = np.full(2, measure.of(each.errors, quantity) or np.nan)
-        curves.append(Curve(each.name, np.array([min(seconds), max(seconds)]), error, "level"))
-    errors = [e for _, e, _ in places]
-    if own_seconds is not None and errors:
+    seconds = [mark[0] for mark in marks] + [full_seconds or 1.0]
+    for alternative in results.without:
+        error = np.full(2, results.measure.of(alternative.errors, quantity) or np.nan)
+        ends = np.array([min(seconds), max(seconds)])
+        curves.append(Curve(alternative.name, ends, error, "level"))
+    if full_seconds is not None and marks:
+        errors = [mark[1] for mark in marks]
         ends = np.array([min(errors), max(errors)])
-        curves.append(Curve("the case's full run", np.full(2, own_seconds), ends, "full"))
+        curves.append(Curve("the case's full run", np.full(2, full_seconds), ends, "full"))
     label = f"{quantity.replace('_', ' ')}, error [%]"
     return Panel("", "seconds of a run [s]", label, curves, "both logarithmic")
 
 
-def _places(results: Results, quantity: str) -> list[tuple[float, float, weighing.ModelRow]]:
+Mark = tuple[float, float, weighing.ModelRow]
+"""Seconds, error and row of a model."""
+
+
+def _marks(results: Results, quantity: str) -> list[Mark]:
     """Return seconds, error and row of the stable models with an error above zero."""
     return [
         (row.online_seconds, error, row)
@@ -406,8 +432,7 @@ def _places(results: Results, quantity: str) -> list[tuple[float, float, weighin
     ]
 
 
-def _front(results: Results, quantity: str) -> list[tuple[float, float, weighing.ModelRow]]:
-    on = [
-        place for place in _places(results, quantity) if place[2].fronts[weighing.FRONTS[quantity]]
-    ]
-    return sorted(on, key=lambda place: place[:2])
+def _front(results: Results, quantity: str) -> list[Mark]:
+    name = weighing.FRONTS[quantity]
+    on_front = [mark for mark in _marks(results, quantity) if mark[2].fronts[name]]
+    return sorted(on_front, key=lambda mark: mark[:2])

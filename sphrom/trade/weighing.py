@@ -15,13 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import percent
 from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
-from sphrom.metrics.measures import COEFFICIENT, UNITS, VECTORS, Samples, component_names
+from sphrom.metrics.measures import Samples
+from sphrom.metrics.quantities import COEFFICIENT, MEASURABLE, component_names, is_vector
 from sphrom.plots.tables import columns, format_figure
 from sphrom.reduction.correction import spline_weights
 from sphrom.setup.assembly import scaled_parameters
@@ -33,11 +35,11 @@ SECONDS = {"unit": "s"}
 ESTIMATE = "measured_estimate"
 OSCILLATION = ("frequency", "amplitude")
 """The quantities that rank models when the trade's measurement is an oscillation."""
-PARTS = tuple(part for quantity in VECTORS for part in component_names(quantity))
+PARTS = tuple(part for q in MEASURABLE if is_vector(q) for part in component_names(q))
 MEASURED = (
     *(
         f"measured_{q}_relative_l2{p}"
-        for q in (*UNITS, *PARTS, *OSCILLATION)
+        for q in (*MEASURABLE, *PARTS, *OSCILLATION)
         for p in ("", "_peak")
     ),
     ESTIMATE,
@@ -50,7 +52,7 @@ UNSTABLE: Errors = {**NO_ERRORS, **NO_MEASURED}
 FRONTS = {
     "velocity": "velocity_front",
     "pressure": "pressure_front",
-    **dict.fromkeys(UNITS.keys() - {"velocity", "pressure"}, "measured_front"),
+    **dict.fromkeys(MEASURABLE.keys() - {"velocity", "pressure"}, "measured_front"),
     **{name: f"{name}_front" for name in OSCILLATION},
 }
 """Columns for membership of the Pareto front, by quantity."""
@@ -158,7 +160,7 @@ class Measure:
         """The components of measured vectors, which a tolerance includes, too."""
         if self.measured is None:
             return ()
-        return tuple(p for q in self.quantities if q in VECTORS for p in component_names(q))
+        return tuple(p for q in self.quantities if is_vector(q) for p in component_names(q))
 
     def of(self, errors: Errors, quantity: str, *, peak: bool = False) -> float | None:
         """Return the error of a quantity [%], overall or at the worst time."""
@@ -196,35 +198,38 @@ def alternatives(
     errors : returns the errors of samples that replace the full run at a point.
     """
     run_at = cache(sampled)
-    others = {point: [each for each in case.plan.train_points if each != point] for point in full}
-
-    def mean(name: str, taken: Callable[[ParameterPoint], Samples]) -> Alternative:
-        return Alternative(name, mean_errors([errors(point, taken(point)) for point in full]))
+    trained = {p: [other for other in case.plan.train_points if other != p] for p in full}
 
     def nearest(point: ParameterPoint) -> Samples:
-        ways = scaled_parameters(case, others[point]) - scaled_parameters(case, [point])
-        return run_at(others[point][int(np.linalg.norm(ways, axis=1).argmin())])
+        offsets = scaled_parameters(case, trained[point]) - scaled_parameters(case, [point])
+        return run_at(trained[point][int(np.linalg.norm(offsets, axis=1).argmin())])
 
     def interpolated(point: ParameterPoint) -> Samples:
-        places = scaled_parameters(case, others[point]), scaled_parameters(case, [point])[0]
-        weights = spline_weights(*places)
-        runs = [run_at(each) for each in others[point]]
+        *places, place = scaled_parameters(case, [*trained[point], point])
+        weights = spline_weights(np.array(places), place)
+        return combined(weights, [run_at(other) for other in trained[point]])
 
-        def mixed(values: list[np.ndarray]) -> np.ndarray:
-            return np.tensordot(weights, values, 1)
+    def unchanged(point: ParameterPoint) -> Samples:
+        return full[point].at(np.zeros(len(full[point].time), np.int64))
 
-        return Samples(
-            runs[0].time,
-            mixed([run.velocity for run in runs]),
-            mixed([run.pressure for run in runs]),
-            {name: mixed([run.measured[name] for run in runs]) for name in runs[0].measured},
-        )
+    replacements = {
+        NEAREST: (nearest, 1),
+        INTERPOLATED: (interpolated, 2),
+        UNCHANGED: (unchanged, 0),
+    }
+    for name, (replaced, least) in replacements.items():
+        if all(len(points) >= least for points in trained.values()):
+            yield Alternative(name, mean_errors([errors(p, replaced(p)) for p in full]))
 
-    if all(others.values()):
-        yield mean(NEAREST, nearest)
-    if all(len(points) > 1 for points in others.values()):
-        yield mean(INTERPOLATED, interpolated)
-    yield mean(UNCHANGED, lambda point: full[point].at(np.zeros(len(full[point].time), np.int64)))
+
+def combined(weights: Array, runs: Sequence[Samples]) -> Samples:
+    """Return the linear combination of runs with weights (n_runs,), at the times of the first."""
+    return Samples(
+        runs[0].time,
+        np.tensordot(weights, [run.velocity for run in runs], 1),
+        np.tensordot(weights, [run.pressure for run in runs], 1),
+        {q: np.tensordot(weights, [r.measured[q] for r in runs], 1) for q in runs[0].measured},
+    )
 
 
 def weighed(
@@ -235,34 +240,35 @@ def weighed(
     The first row is the case's own full run, the reference of the others; it is on no front, and
     nothing beats it. Alternatives are those without a model, and stable full runs.
     """
-    own, *others = rows
-    rivals = [(each.name, 0.0, each.errors) for each in without]
+    reference, *models = rows
+    rivals = [(alternative.name, 0.0, alternative.errors) for alternative in without]
     for row in rows:
         if row.kind == "full" and row.online_seconds is not None:
             rivals.append((row.model, row.online_seconds, row.errors))
-    fronts = dict.fromkeys(FRONTS.values(), [False] * len(others))
-    for quantity in measure.quantities:
-        costs = [(row.online_seconds, measure.of(row.errors, quantity)) for row in others]
-        fronts[FRONTS[quantity]] = pareto_front(
-            [None if s is None or e is None else (s, e) for s, e in costs]
-        )
 
     def gains(row: ModelRow) -> ModelRow:
         if (seconds := row.online_seconds) is None:
             return row
-        pays = break_even(row.offline_seconds, own.online_seconds, seconds)
-        slower = (r for r in rivals if row is not own and r[0] != row.model and r[1] <= seconds)
-        better = (name for name, _, e in slower if measure.nowhere_worse(e, row.errors))
+        pays = break_even(row.offline_seconds, reference.online_seconds, seconds)
+        as_fast = [r for r in rivals if r[0] != row.model and r[1] <= seconds]
+        better = (name for name, _, errors in as_fast if measure.nowhere_worse(errors, row.errors))
         return replace(
             row,
-            speed_up=None if own.online_seconds is None else own.online_seconds / seconds,
+            speed_up=reference.online_seconds and reference.online_seconds / seconds,
             break_even_runs=None if row.kind == "full" else pays,
-            beaten_by=next(better, None),
+            beaten_by=None if row is reference else next(better, None),
         )
 
-    on = [{name: front[k] for name, front in fronts.items()} for k in range(len(others))]
-    placed = [replace(gains(row), fronts=each) for row, each in zip(others, on, strict=True)]
-    return [gains(own), *placed]
+    found = [gains(row) for row in models]
+    for quantity in measure.quantities:
+        costs = [(row.online_seconds, measure.of(row.errors, quantity)) for row in models]
+        front = pareto_front([None if s is None or e is None else (s, e) for s, e in costs])
+        name = FRONTS[quantity]
+        found = [
+            replace(row, fronts={**row.fronts, name: on_front})
+            for row, on_front in zip(found, front, strict=True)
+        ]
+    return [gains(reference), *found]
 
 
 def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:
@@ -330,7 +336,7 @@ def recommend(
     fit = [row for row in rows if used[row.model] <= 1.0]
     chosen = _cheapest([row for row in fit if row is not rows[0]], used)
     full = _cheapest([row for row in fit if row.kind == "full"], used)
-    enough = [each.name for each in without if tolerance.used(each.errors, measure) <= 1.0]
+    enough = [rival.name for rival in without if tolerance.used(rival.errors, measure) <= 1.0]
     pays = None
     if chosen is not None and full is not None and chosen.online_seconds is not None:
         pays = break_even(chosen.offline_seconds, full.online_seconds, chosen.online_seconds)

@@ -124,7 +124,8 @@ def _value(field: Field) -> Any:
     if not field.is_mapping:
         return _one(field)
     if field.names:
-        return {name: _one(field) for name in field.names}
+        given = {name: d if isinstance(d, dict) else {} for name, d in field.names.items()}
+        return {name: _one(replace(field, **declared)) for name, declared in given.items()}
     keys = ["/".join(f"{part}{i}" for i in range(field.name.count("*"))) for part in ("b", "c")]
     return {key: _one(field) for key in keys}
 

@@ -10,11 +10,12 @@ from typing import Any
 
 from sphrom.case.models import Case
 
-MODEL = {
-    "evaluation": "particles", "projection": "galerkin", "n_modes": 5, "basis": "all",
-    "advection": "consistent", "memory_length": "auto", "time_step": "auto",
-    "calibrated": "auto", "corrected": "auto", "integrated_modes": "auto", "output": "none",
-    "until": None, "steady": False, "parameters": "all",
+MODEL = {"n_modes": 5, "basis": "all", "parameters": "all"}
+PROJECTED = {**MODEL, "projection": "galerkin", "memory_length": "auto", "time_step": "auto"}
+ON_PARTICLES = {**PROJECTED, "evaluation": "particles", "advection": "consistent"}
+ON_POINTS = {
+    **PROJECTED, "evaluation": "operators", "calibrated": "auto", "corrected": "auto",
+    "integrated_modes": "auto", "output": "none", "until": None, "steady": False,
 }  # fmt: skip
 FIT = {"model": None, "parameters": {}, "noise": None, "starts": 8}
 
@@ -23,7 +24,9 @@ def test_defaults_of_models_and_fits() -> None:
     """Those of other sections are in `defaults.json`."""
     given = {"name": "x", "scene": {"kind": "taylor-green"}, "rom": [{"name": "x"}]}
     case = Case.model_validate(given).model_dump(mode="json")
-    assert case["rom"] == [{"name": "x", **MODEL}]
+    assert case["rom"] == [{"name": "x", **ON_PARTICLES}]
+    usual = Case.model_validate({"name": "x", "scene": given["scene"]}).model_dump(mode="json")
+    assert usual["rom"] == [{"name": "fast", **ON_POINTS}]
     assert case["fit"] == FIT
 
 

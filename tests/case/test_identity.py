@@ -67,7 +67,10 @@ def test_template_loads_and_explains_every_key(kind, load):
     assert max(map(len, text.splitlines())) <= 80
     lines = text.splitlines()
     for path in own_paths(kind):
-        line = next(n for n, found in enumerate(lines) if found.strip().startswith(f"{path[-1]}:"))
+        named = f"{path[-1]}:"
+        if path[0] == "rom" and f"# {named}" in text:  # a key of models on particles
+            continue
+        line = next(n for n, found in enumerate(lines) if found.strip().startswith(named))
         assert lines[line - 1].strip().startswith("#"), path
 
 

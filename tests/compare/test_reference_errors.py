@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.references import compare_with_references, profiles_of
-from sphrom.scenes.flows import profiles_for
+from sphrom.scenes.reference_profiles import profiles_for
 from sphrom.store.stored_run import probes_of
 
 LENGTH, SPEED, DENSITY = 0.5, 2.0, 3.0

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sphrom.errors import CaseError
-from sphrom.exchange import import_
+from sphrom.exchange import instants
 from sphrom.exchange.foreign_files import Source
-from sphrom.exchange.import_ import choose, find_sources, interpolated, interval
 from sphrom.exchange.import_options import ImportOptions
+from sphrom.exchange.instants import choose, find_sources, interpolated, interval
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
 
@@ -54,7 +54,7 @@ def hold(monkeypatch: pytest.MonkeyPatch):
     """Return a function that lets files, by name, hold one snapshot each at some times."""
 
     def hold(times: dict[str, float]) -> list[Path]:
-        monkeypatch.setattr(import_, "snapshots_in", lambda path: [Source(path, times[str(path)])])
+        monkeypatch.setattr(instants, "snapshots_in", lambda path: [Source(path, times[str(path)])])
         return [Path(name) for name in times]
 
     return hold

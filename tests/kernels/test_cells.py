@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sphrom.kernels import blocks
-from sphrom.kernels.cells import Grid, range_in_row, rows_within, sort_by_cell
+from sphrom.kernels.cells import Grid, Search, range_in_row, rows_within, sort_by_cell
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import MOVE_RATIO, Neighbourhood
@@ -42,9 +42,9 @@ def sorted_places(position: np.ndarray, width: float, height: float):
     return np.ascontiguousarray(position[:, order]), grid, cell_start
 
 
-def found(x: float, y: float, reach: float, grid: Grid, cell_start: np.ndarray) -> set[int]:
-    first, last = plain(rows_within)(y, y, reach, grid)
-    ranges = [plain(range_in_row)(x, y, r, reach, grid, cell_start) for r in range(first, last)]
+def found(x: float, y: float, search: Search) -> set[int]:
+    first, last = plain(rows_within)(y, y, search)
+    ranges = [plain(range_in_row)(x, y, row, search) for row in range(first, last)]
     return {k for low, high in ranges for k in range(low, high)}
 
 
@@ -69,7 +69,7 @@ def test_every_pair_within_reach_is_found(position, width, height, x, y, reach) 
     place, grid, cell_start = sorted_places(position, width, height)
     for asking in (*place.T, (x, y)):
         distance = np.hypot(*(place - np.reshape(asking, (2, 1))))
-        candidates = found(*asking, reach, grid, cell_start)
+        candidates = found(*asking, Search(*grid, cell_start, reach, 1.0))
         assert set(np.flatnonzero(distance < reach * (1.0 - 1e-12))) <= candidates
         assert candidates <= set(range(place.shape[1]))
 
@@ -96,11 +96,12 @@ def test_a_list_holds_all_that_is_near_and_nothing_twice(position, width, height
     source = np.vstack((place, np.arange(1.0, place.shape[1] + 1.0)))
     targets = np.arange(place.shape[1])
     start = blocks.split_targets(targets, grid, cell_start)
-    longest = blocks.longest_list(place, targets, start, grid, cell_start, reach, 0.0)
+    search = Search(*grid, cell_start, reach, 1.0)
+    longest = blocks.longest_list(place, targets, start, search, 0.0)
     near = np.full((3, longest), np.nan)
     for low, high in pairwise(start):
         here = targets[low:high]
-        length = blocks.list_candidates(source, here, grid, cell_start, reach, near)
+        length = blocks.list_candidates(source, here, search, near)
         assert length <= longest
         assert length % blocks.VECTOR == 0
         names = near[2, :length].astype(int)
@@ -138,10 +139,8 @@ def test_no_list_is_longer_than_foreseen_wherever_particles_move(kind: str) -> N
         candidates = np.empty((2, 20000))
         start = neighbourhood.block_start
         for low, high in pairwise(start):
-            length = blocks.list_candidates(
-                source, near.targets[low:high], near.grid, near.cell_start, neighbourhood.reach,
-                candidates,
-            )  # fmt: skip
+            here = near.targets[low:high]
+            length = blocks.list_candidates(source, here, neighbourhood.search, candidates)
             longest = max(longest, length)
     assert 0 < longest <= neighbourhood.scratch.shape[2]
 
@@ -155,6 +154,6 @@ def test_what_a_target_may_come_near_to_is_foreseen_on_every_side(axis: int, sid
     position[axis, 1:] = side * (reach + 0.9 * limit)
     place, grid, cell_start = sorted_places(position, 0.01, 0.01)
     (target,) = np.flatnonzero(place[axis] == 0.0)
-    arguments = np.array([target]), np.array([0, 1]), grid, cell_start, reach
+    arguments = np.array([target]), np.array([0, 1]), Search(*grid, cell_start, reach, 1.0)
     still, moving = (blocks.longest_list(place, *arguments, m) for m in (0.0, limit))
     assert still < 50 <= moving

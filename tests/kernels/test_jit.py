@@ -67,7 +67,7 @@ def cache(tmp_path: Path, monkeypatch) -> Iterator[Path]:
 def rows_within_reach() -> tuple[int, int]:
     """Call a kernel that this process has neither compiled nor loaded."""
     again = jit.term(cells.rows_within.py_func)
-    return again(0.31, 0.52, 0.1, cells.Grid(0.0, 0.0, 0.1, 0.1, 10, 10))
+    return again(0.31, 0.52, cells.Search(0.0, 0.0, 0.1, 0.1, 10, 10, np.zeros(1, int), 0.1, 1.0))
 
 
 def damaged(content: bytes) -> Iterator[bytes]:
@@ -175,8 +175,9 @@ def test_a_serial_loop_keeps_the_order_of_its_sums() -> None:
 
 def test_what_is_kept_is_loaded_without_the_compiler(tmp_path: Path, printed) -> None:
     code = (
-        "import sys; from sphrom.kernels.cells import Grid, rows_within; "
-        "rows = rows_within(0.31, 0.52, 0.1, Grid(0.0, 0.0, 0.1, 0.1, 10, 10)); "
+        "import sys, numpy; from sphrom.kernels.cells import Search, rows_within; "
+        "search = Search(0.0, 0.0, 0.1, 0.1, 10, 10, numpy.zeros(1, int), 0.1, 1.0); "
+        "rows = rows_within(0.31, 0.52, search); "
         "print(*rows, 'numba.np.arraymath' in sys.modules)"
     )
     for compiles in (True, False):

@@ -11,7 +11,8 @@ import shapely
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sphrom.kernels.sweeps import SHIFT_V, U, V, X, Y
+from sphrom.kernels.fields import SHIFT_V, BesideWalls, U, V, X, Y
+from sphrom.kernels.rectangles import Limits
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain, WallSearch
 from sphrom.sph.polygon_domain import PolygonDomain, list_by_cell, nearest_segments
@@ -107,7 +108,8 @@ def held(
     particle = np.arange(position.shape[1])
     out = shifting.copy()
     search = domain.wall_search(1.0)
-    search.kernels.hold_back(particle, particle, target, *search.lists, *LIMITS, against, out)
+    beside = BesideWalls(particle, particle, target, distance=target[X])
+    search.kernels.hold_back(beside, *search.lists, Limits(*LIMITS, against), out)
     return out
 
 

@@ -171,6 +171,21 @@ def test_a_model_that_was_just_trained_has_the_bits_of_its_file(study: sphrom.St
     np.testing.assert_array_equal(first.estimate.velocity, second.estimate.velocity)
 
 
+OPENED = """
+import sys, sphrom
+heavy = "numba", "scipy", "matplotlib", "xarray", "rich"
+model = sphrom.load(sys.argv[1]).at(reynolds=120, lid=0.8)
+print(*[name for name in heavy if name in sys.modules])
+model.run()._measured()
+print(*[name for name in ("scipy.sparse", *heavy) if name in sys.modules])
+"""
+
+
+def test_opening_a_file_loads_no_compiled_code_and_no_scipy(alone: Path, printed) -> None:
+    """A run needs compiled steps, and an exponential of scipy for their matrices."""
+    assert printed(OPENED, alone) == "\nnumba scipy\n"
+
+
 def test_many_runs_of_a_file_are_those_of_its_study(study: sphrom.Study, alone: Path) -> None:
     points = {"reynolds": [60.0, 150.0], "lid": [0.6, 0.9]}
     own = study.model("fast", **BETWEEN["points"]).run_many(points)

@@ -11,7 +11,7 @@ import pytest
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import PointModelSection
 from sphrom.errors import CaseError
 from sphrom.models.points.basis_model import steps_of
 from sphrom.models.points.fast_model import FastRun
@@ -39,7 +39,7 @@ def growing(rate: float) -> ReferenceModel:
 
 
 def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
-    model = ReducedModelSection(name="x", evaluation="operators", time_step=time_step)
+    model = PointModelSection(name="x", evaluation="operators", time_step=time_step)
     return steps_of(model, reduced, PLAN.every).n_steps
 
 

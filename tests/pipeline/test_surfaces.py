@@ -167,7 +167,7 @@ def test_a_run_out_of_range_ends_with_instant_and_place(
         ({"rom": [{"name": "slow", "n_modes": 3}]}, "rom.0.evaluation: must be operators"),
         (
             {"rom": [{"name": "a", "evaluation": "operators", "projection": "apg"}]},
-            "rom.0.projection: must be galerkin",
+            "rom.0.projection: is not for reduced models of a free surface",
         ),
         ({"basis": {"subsets": {"low": {"reynolds": [500]}}}}, "basis.subsets: is not for"),
         ({"scene": {"body_force": ["0.01*sin(x)", 0]}}, "scene.body_force: must not depend on x"),

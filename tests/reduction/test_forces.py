@@ -32,7 +32,7 @@ def expected(points, wall: MeasuredWall, q: np.ndarray, velocity: np.ndarray) ->
     speed = AMPLITUDE if points.walls_driven else 1.0
     viscous = points.ghost_friction(velocity[..., None])[..., 0] + speed * points.ghost_drag
     loads = np.stack((wall.loads(pressure), NU * wall.loads(viscous)))
-    loads[1, 2] -= NU * speed * points.reference_density * wall.circulation
+    loads[1, 2] -= NU * speed * points.fluid.reference_density * wall.circulation
     return loads
 
 
@@ -82,7 +82,7 @@ def test_with_a_stokes_flow_the_whole_force_is_the_balance_of_momentum(settings,
     integrand = np.einsum("nd,lnd->ln", push - change, value)
     integrand += np.einsum("ni,nj,lnij->ln", velocity, velocity, slope)
     integrand -= 2.0 * NU * np.einsum("nij,lnij->ln", strain, tested_strain)
-    balanced = points.reference_density * SPACING**2 * integrand.sum(axis=1)
+    balanced = points.fluid.reference_density * SPACING**2 * integrand.sum(axis=1)
     wanted[0, [0, 2]] = balanced[[0, 2]] - wanted[1, [0, 2]]
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
 

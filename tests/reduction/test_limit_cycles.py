@@ -7,7 +7,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sphrom.metrics.series import dominant_frequency
-from sphrom.reduction.calibration import CycleClosure, LimitCycle, fitted_cycle, harmonics_of
+from sphrom.reduction.limit_cycles import (
+    CycleClosure,
+    LimitCycle,
+    TrainedCycles,
+    fitted_cycle,
+    harmonics_of,
+)
 from sphrom.reduction.reduced_measures import PointForce
 from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators
 
@@ -62,7 +68,7 @@ def operators() -> ReducedOperators:
 @pytest.fixture(scope="module")
 def closure(operators: ReducedOperators) -> CycleClosure:
     cycles = [fitted_cycle(*trained(1.0 / nu)) for nu in VISCOSITIES]
-    return CycleClosure(operators, VISCOSITIES, [{}, {}], cycles, 0.0)
+    return CycleClosure(operators, TrainedCycles.of_runs(VISCOSITIES, [{}, {}], cycles, 0.0))
 
 
 @pytest.mark.parametrize("reynolds", [80.0, 100.0, 120.0, 150.0])
@@ -107,7 +113,7 @@ def test_a_force_has_what_training_runs_recorded(closure: CycleClosure) -> None:
     loads, linear = [], np.zeros((6, N_MODES))
     linear[0, 0] = 1.0
     own = PointForce(Polynomial(((np.zeros(6), linear),)), np.zeros((6, N_MODES)), np.zeros((2, 6)))
-    for nu, cycle in zip(VISCOSITIES, closure.cycles, strict=True):
+    for nu, cycle in zip(VISCOSITIES, closure.trained.cycles, strict=True):
         times, states = trained(1.0 / nu)
         recorded = np.zeros((len(times), 6))
         recorded[:, 0] = 2.0 + 3.0 * states[:, 0] + states[:, 3]

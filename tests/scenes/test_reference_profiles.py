@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.scenes.flows import ReferenceProfile, profiles_for
+from sphrom.scenes.reference_profiles import ReferenceProfile, profiles_for
 
 
 def _one(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sphrom.scenes.flows import profiles_for
+from sphrom.scenes.reference_profiles import profiles_for
 
 
 def test_few_modes_give_the_stored_profiles(script):

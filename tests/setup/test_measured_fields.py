@@ -11,7 +11,7 @@ import pytest
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.errors import UnstableError
-from sphrom.metrics.measures import FieldMeasure, errors_of, mean_square, of_a_run, statistics
+from sphrom.metrics.measures import FlowRate, errors_of, mean_square, of_a_run, statistics
 from sphrom.setup.particles import MeasuredFields, MeasuredParticles
 from sphrom.sph.time_loop import Snapshot
 from sphrom.store.trajectory import TrajectoryWriter
@@ -22,6 +22,7 @@ MEASURE: dict[str, Any] = {
     "across": HALF,
     "back": {"flow_rate": {"from": [0.25, 1], "to": [0.25, 0]}},
     "slanted": SLANTED,
+    "along": {"integral": {"from": [0.1, 0.2], "to": [0.9, 0.8]}},
     "middle": {"probe": [0.4, 0.7]},
     "corner": {"probe": [0.95, 0.95]},
     "profile": {"line": {"from": [0.5, 0.05], "to": [0.5, 0.95], "points": 5}},
@@ -76,6 +77,12 @@ def test_fields_up_to_the_second_degree_are_measured_exactly(velocity: Any) -> N
     assert found["slanted"]["flow_rate"] == pytest.approx(slanted, rel=1e-7)
     for name, at in {"middle": [(0.4, 0.7)], "corner": [(0.95, 0.95)]}.items():
         np.testing.assert_allclose(found[name]["velocity"], velocity(np.array(at)), atol=1e-9)
+    nodes, weights = np.polynomial.legendre.leggauss(4)  # exact for these fields, length 1
+    at = np.array([0.1, 0.2]) + 0.5 * (1.0 + nodes)[:, None] * np.array([0.8, 0.6])
+    whole = 0.5 * weights @ velocity(at)
+    np.testing.assert_allclose(found["along"]["velocity_integral"], whole, rtol=1e-9)
+    whole = 0.5e-3 * case.plan.sound_speed**2 * weights @ (at[:, 0] ** 2 - at[:, 1])
+    np.testing.assert_allclose(found["along"]["pressure_integral"], whole, rtol=1e-9)
     line = np.stack((np.full(5, 0.5), np.linspace(0.05, 0.95, 5)), axis=1)
     np.testing.assert_allclose(found["profile"]["velocity"], velocity(line), rtol=1e-9, atol=1e-9)
     pressure = 1e-3 * case.plan.sound_speed**2 * (line[:, 0] ** 2 - line[:, 1])
@@ -149,10 +156,10 @@ def test_a_void_at_a_probe_ends_a_run() -> None:
 
 
 def test_a_section_is_summed_up_within_its_ends() -> None:
-    measure = FieldMeasure.section(np.array([0.0, 0.0]), np.array([0.0, 1.0]), longest=0.3)
+    measure = FlowRate(np.array([[0.0, 0.0], [0.0, 1.0]]), longest=0.3)
     assert len(measure.position) == 12
-    assert measure.normal is not None
-    np.testing.assert_allclose(measure.normal.sum(axis=0), [1.0, 0.0], atol=1e-15)
+    unit = np.broadcast_to([1.0, 0.0], (12, 2))
+    assert measure.of(unit, unit[:, 0])["flow_rate"] == pytest.approx(1.0, abs=1e-15)
     assert 0.0 < measure.position[:, 1].min() < measure.position[:, 1].max() < 1.0
 
 

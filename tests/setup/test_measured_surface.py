@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.metrics.measures import UNITS, Column, Quantities
+from sphrom.metrics.measures import Quantities
+from sphrom.metrics.quantities import MEASURABLE, Column
 from sphrom.setup.particles import MeasuredParticles, functional, wall_forces
 from sphrom.sph.fluid import fluctuation_of
 
@@ -56,7 +57,7 @@ def test_quantities_have_units_and_columns() -> None:
     shapes = {
         q: v.shape for each in measured(case, *at_rest(case)).values() for q, v in each.items()
     }
-    assert shapes.keys() <= UNITS.keys()
+    assert shapes.keys() <= MEASURABLE.keys()
     assert {q for q, shape in shapes.items() if shape == (2,)} == {"centre_of_mass"}
     assert Column.named("b", ["centre_of_mass"])["b_centre_of_mass_y"].component == 1
 

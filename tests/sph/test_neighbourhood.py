@@ -65,11 +65,9 @@ def test_every_neighbour_is_a_candidate_once(position, periodic, support) -> Non
     inside = domain.wrap(position.T).T
     assert np.array_equal(np.stack((x, y))[:, near.targets], inside[:, near.particle[near.targets]])
     for j in near.targets:
-        first, last = rows_within(y[j], y[j], support, near.grid)
-        ranges = [
-            range_in_row(x[j], y[j], row, support, near.grid, near.cell_start)
-            for row in range(first, last)
-        ]
+        search = near.search(support, 0.1)
+        first, last = rows_within(y[j], y[j], search)
+        ranges = [range_in_row(x[j], y[j], row, search) for row in range(first, last)]
         candidates = [k for low, high in ranges for k in range(low, high)]
         assert len(candidates) == len(set(candidates))
         within = np.flatnonzero(np.hypot(x - x[j], y - y[j]) < support * (1.0 - 1e-9))

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 
 from sphrom.case.fields import Section, key
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import DiscretizationSection, ReducedModelSection, SplineSection
+from sphrom.case.sections import (
+    DiscretizationSection,
+    ParticleModelSection,
+    PointModelSection,
+    ReducedModels,
+    ReducedModelSection,
+    SplineSection,
+)
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Target, Workspace
 
@@ -35,8 +42,11 @@ class NewerDiscretization(DiscretizationSection):
     filter: str | None = key(None, "a key that is new")
 
 
-class NewerModel(ReducedModelSection):
+class NewerModel(ParticleModelSection):
     filter: str = key("none", "a key that is new")
+
+
+NEWER = ReducedModels(particles=NewerModel, points=PointModelSection)
 
 
 class NewerCase(Case):
@@ -44,7 +54,7 @@ class NewerCase(Case):
 
     psi: NewerSplines = key(NewerSplines(), "splines")
     discretization: NewerDiscretization = key(NewerDiscretization(), "particles")
-    rom: tuple[NewerModel, ...] = key((), "models")
+    rom: tuple[Annotated[ReducedModelSection, NEWER], ...] = key((), "models")
     novelty: NewSection = key(NewSection(), "what is new")
 
 

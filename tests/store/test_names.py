@@ -11,8 +11,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.trade.candidates import variants
-from sphrom.trade.extremes import FULL_MODEL, varied_models
+from sphrom.trade.candidates import FULL_MODEL, variants, varied_models
 
 CLOSE = (100.0, 100.0000001)
 

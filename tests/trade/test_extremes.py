@@ -9,7 +9,7 @@ import pytest
 from sphrom.case.checks import case_problems
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import PointModelSection
 from sphrom.models.stable_ranges import MEMORY, STEP, TIME, StableRange
 from sphrom.plots.panels import save
 from sphrom.reduction.polynomial_model import OutputTimes
@@ -17,18 +17,9 @@ from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph.fluid import COURANT_LIMIT
-from sphrom.trade import extremes
-from sphrom.trade.extremes import varied_models
-from sphrom.trade.stability import (
-    ExtremeRun,
-    draw_maps,
-    growth,
-    judge,
-    kind_of,
-    limiting_step,
-    longest_memory,
-    ranges_in,
-)
+from sphrom.trade.candidates import FULL_MODEL, varied_models
+from sphrom.trade.causes import growth, kind_of, limiting_step, longest_memory
+from sphrom.trade.stability import ExtremeRun, draw_maps, judge, ranges_in
 
 
 def fast(
@@ -222,10 +213,10 @@ def case() -> Case:
      ("resolution", 20.0, 20)],
 )  # fmt: skip
 def test_a_variant_is_the_case_but_for_one_thing(monkeypatch, what, value, resolution):
-    for name, (section, key, _) in extremes.FULL_MODEL.items():
+    for name, (section, key, _) in FULL_MODEL.items():
         values = (value,) if name == what else ()
-        monkeypatch.setitem(extremes.FULL_MODEL, name, (section, key, values))
-    own, models = case(), [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
+        monkeypatch.setitem(FULL_MODEL, name, (section, key, values))
+    own, models = case(), [PointModelSection(name="one", evaluation="operators", n_modes=3)]
     points = own.plan.bases["low"], own.plan.test_points[0]
     ((varied, at, other),) = varied_models(own, points, models)
     assert (varied, at, other.discretization.resolution) == (what, value, resolution)

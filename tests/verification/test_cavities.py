@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.scenes.flows import LidDrivenCavity, OpenCavity, Scene, profiles_for
+from sphrom.scenes.flows import LidDrivenCavity, OpenCavity, Scene
+from sphrom.scenes.reference_profiles import profiles_for
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.time_loop import runge_kutta_step

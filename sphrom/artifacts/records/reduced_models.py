@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from sphrom.arrays import Array, Indices
 from sphrom.artifacts.records.runs import REFERENCE_POSITION, Medium, ModelFile
 from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.metrics.quantities import FROM_FIELDS, stored
 from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, UnheldShares
 from sphrom.reduction.mode_splines import CellSplines, LatticeCoefficients
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
@@ -65,14 +66,8 @@ class WallForce(ReducedForce):
 class TrainedMeasure(ReducedMeasure):
     """A projected measurement, and its recorded values in the full training runs."""
 
-    training_flow_rate: Array | None = dataset(
-        "run snapshot", "m2/s", "flow through the section in training runs", default=None
-    )
-    training_velocity: Array | None = dataset(
-        "run snapshot place component", "m/s", "velocity there in training runs", default=None
-    )
-    training_pressure: Array | None = dataset(
-        "run snapshot place", "Pa", "pressure there in training runs", default=None
+    training: Mapping[str, Array] = stored(
+        FROM_FIELDS, "run snapshot", at="training_{}", meaning="of training runs: {}"
     )
 
 

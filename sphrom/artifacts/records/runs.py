@@ -9,6 +9,14 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.metrics.quantities import (
+    FROM_FIELDS,
+    IN_FLUID,
+    MEASURABLE,
+    OF_WALLS,
+    stored,
+    stored_numbers,
+)
 from sphrom.reduction.stream_functions import StreamSpace
 from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph
 
@@ -18,9 +26,6 @@ DENSITY = "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
 VELOCITY = "m/s", "velocity", "u", "Eq. 2.7"
 PRESSURE = "Pa", "pressure", "p", "Eq. 2.8"
 REFERENCE_POSITION = "m", "points of the reference space", "x_G", "Eq. 3.14"
-FLOW_RATE = "m2/s", "flow through a section, from the left to the right of its direction"
-VELOCITY_AT_PLACES = "m/s", "velocity at the places", "u", "Eq. 2.7"
-PRESSURE_AT_PLACES = "Pa", "pressure at the places", "p", "Eq. 2.8"
 VELOCITY_ERROR = "m/s", "estimated root mean square error of the velocity"
 PRESSURE_ERROR = "Pa", "estimated root mean square error of the pressure less its mean"
 PARAMETERS = "", "parameter values of the run"
@@ -94,15 +99,7 @@ class Measured(Record):
     position: Array | None = dataset(
         "place component", "m", "places of velocity and pressure", "x", default=None
     )
-    flow_rate: Array | None = dataset("snapshot", *FLOW_RATE, default=None)
-    velocity: Array | None = dataset("snapshot place component", *VELOCITY_AT_PLACES, default=None)
-    pressure: Array | None = dataset("snapshot place", *PRESSURE_AT_PLACES, default=None)
-    elevation: Array | None = dataset("snapshot", "m", "height of the free surface", default=None)
-    centre_of_mass: Array | None = dataset(
-        "snapshot component", "m", "centre of mass of the fluid", default=None
-    )
-    kinetic_energy: Array | None = dataset("snapshot", "J/m", "kinetic energy", default=None)
-    potential_energy: Array | None = dataset("snapshot", "J/m", "potential energy", default=None)
+    quantities: Mapping[str, Array] = stored(IN_FLUID, "snapshot")
 
 
 class Snapshots(Record):
@@ -245,14 +242,20 @@ _FACTOR = (
 )
 
 
+_MEASURED = (*OF_WALLS, *FROM_FIELDS)
+
+
 class MeasuredOnce(Record):
     """One value per measured quantity: in a steady state, or an error over a run."""
 
-    force: Array | None = dataset("component", "N/m", "force on a wall", default=None)
-    torque: float | None = attribute("N", "torque on a wall, anticlockwise", default=None)
-    flow_rate: float | None = attribute(*FLOW_RATE, default=None)
-    velocity: Array | None = dataset("place component", *VELOCITY_AT_PLACES, default=None)
-    pressure: Array | None = dataset("place", *PRESSURE_AT_PLACES, default=None)
+    arrays: Mapping[str, Array] = stored(q for q in _MEASURED if MEASURABLE[q].axes)
+    numbers: Mapping[str, float] = stored_numbers(q for q in _MEASURED if not MEASURABLE[q].axes)
+
+    @property
+    def quantities(self) -> dict[str, Array]:
+        """The values by quantity, with an axis of one snapshot where there are no others."""
+        numbers = {name: np.array([value]) for name, value in self.numbers.items()}
+        return {**self.arrays, **numbers}
 
 
 class ErrorEstimate(Record):

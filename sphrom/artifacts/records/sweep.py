@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sphrom.arrays import Array, Indices
-from sphrom.artifacts.records.runs import FLOW_RATE, PRESSURE_ERROR, TIME, VELOCITY_ERROR
+from sphrom.artifacts.records.runs import PRESSURE_ERROR, TIME, VELOCITY_ERROR
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.metrics.draws import OutputIndices, OutputStatistics
+from sphrom.metrics.quantities import MEASURABLE, PLACED, stored
 
 
 class Estimates(Record):
@@ -54,39 +55,9 @@ class Estimates(Record):
 class Measured(Record):
     """Measurements of runs: over time, and along a line at the end."""
 
-    force: Array | None = dataset(
-        "complete_run snapshot component", "N/m", "force on a wall", default=None
-    )
-    torque: Array | None = dataset(
-        "complete_run snapshot", "N", "torque on a wall, anticlockwise", default=None
-    )
-    coefficient: Array | None = dataset(
-        "complete_run snapshot component", "1", "coefficient of the force", "C", default=None
-    )
-    flow_rate: Array | None = dataset("complete_run snapshot", *FLOW_RATE, default=None)
-    velocity: Array | None = dataset(
-        "complete_run snapshot component", "m/s", "velocity at a probe", "u", default=None
-    )
-    pressure: Array | None = dataset(
-        "complete_run snapshot", "Pa", "pressure at a probe", "p", default=None
-    )
-    elevation: Array | None = dataset(
-        "complete_run snapshot", "m", "height of the free surface", default=None
-    )
-    centre_of_mass: Array | None = dataset(
-        "complete_run snapshot component", "m", "centre of mass of the fluid", default=None
-    )
-    kinetic_energy: Array | None = dataset(
-        "complete_run snapshot", "J/m", "kinetic energy", default=None
-    )
-    potential_energy: Array | None = dataset(
-        "complete_run snapshot", "J/m", "potential energy", default=None
-    )
-    final_velocity: Array | None = dataset(
-        "complete_run place component", "m/s", "velocity along a line at the end", "u", default=None
-    )
-    final_pressure: Array | None = dataset(
-        "complete_run place", "Pa", "pressure along a line at the end", "p", default=None
+    histories: Mapping[str, Array] = stored(MEASURABLE, "complete_run snapshot", leave_out="place")
+    at_end: Mapping[str, Array] = stored(
+        PLACED, "complete_run", at="final_{}", meaning="{}, along a line at the end"
     )
 
 

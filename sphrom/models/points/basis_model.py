@@ -22,12 +22,12 @@ from sphrom.metrics.measures import Quantities, Samples, with_coefficients
 from sphrom.models.points.stored import Fields, snapshot_times
 from sphrom.models.reference.stored import expand
 from sphrom.reduction import reference_model
-from sphrom.reduction.calibration import CycleClosure
 from sphrom.reduction.error_calibration import (
     LocalErrorCalibration,
     OutputErrors,
     output_errors,
 )
+from sphrom.reduction.limit_cycles import CycleClosure
 from sphrom.reduction.reduced_measures import PointForce, TimedLoads
 from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps

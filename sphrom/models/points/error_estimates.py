@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,13 +19,8 @@ from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.runs import ErrorEstimate as StoredEstimate
 from sphrom.artifacts.records.runs import MeasuredOnce
 from sphrom.metrics.histories import QUANTITIES
-from sphrom.metrics.measures import (
-    COEFFICIENT,
-    ONLY_NOISE,
-    Quantities,
-    mean_squares,
-    variations,
-)
+from sphrom.metrics.measures import ONLY_NOISE, Quantities, mean_squares, variations
+from sphrom.metrics.quantities import COEFFICIENT
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.correction import interpolation_variance
 
@@ -159,10 +154,11 @@ def measured_sizes(run: FastRun) -> dict[str, Pair]:
 
 def measured_once(quantities: Quantities) -> MeasuredOnce:
     """Return measurements at one instant (1, ...) in the form of artifacts."""
-    values: dict[str, Any] = {
-        q: v[0] if v.ndim > 1 else float(v[0]) for q, v in quantities.items() if q != COEFFICIENT
-    }
-    return MeasuredOnce(**values)
+    recorded = {q: v for q, v in quantities.items() if q != COEFFICIENT}
+    return MeasuredOnce(
+        arrays={q: values[0] for q, values in recorded.items() if values.ndim > 1},
+        numbers={q: float(values[0]) for q, values in recorded.items() if values.ndim == 1},
+    )
 
 
 def measured_errors(run: FastRun) -> dict[str, Quantities]:

@@ -224,8 +224,8 @@ class _Projection:
         projected = project_measures(self.basis, self.splines, fields.position, fields.of_fields)
         return {
             name: TrainedMeasure(
-                **vars(measure),
-                **{
+                quantities=measure.quantities,
+                training={
                     f"training_{q}": np.stack([r[name][q] for r in recorded])
                     for q in measure.quantities
                 },

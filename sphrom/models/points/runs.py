@@ -20,7 +20,8 @@ from sphrom.artifacts.records.runs import Converged, Steady
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import UNITS, Quantities, Samples, components
+from sphrom.metrics.measures import Quantities, Samples
+from sphrom.metrics.quantities import MEASURABLE, components
 from sphrom.models.contract import N_TIMED, basis_used
 from sphrom.models.points.basis_model import forces_of
 from sphrom.models.points.error_estimates import (
@@ -106,7 +107,8 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
 def _figures(quantities: Quantities) -> str:
     """Return the measurements in one state, in words; lines are left out."""
     return ", ".join(
-        f"{component.replace('_', ' ')} {format_figure(float(values.item()))} {UNITS[quantity]}"
+        f"{component.replace('_', ' ')} {format_figure(float(values.item()))} "
+        f"{MEASURABLE[quantity].unit}"
         for quantity, vectors in quantities.items()
         for component, values in components(quantity, vectors).items()
         if values.size == 1

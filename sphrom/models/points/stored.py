@@ -20,15 +20,9 @@ from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import Quantities, with_coefficients
 from sphrom.models.reference.stored import mapped_runs, read_points
 from sphrom.models.starts import RunStarts, start
-from sphrom.reduction.calibration import (
-    Calibration,
-    CycleClosure,
-    TrainingRun,
-    calibrate,
-    fitted_cycle,
-)
+from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
-from sphrom.reduction.reduced_measures import ReducedMeasure
+from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles, fitted_cycle
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
@@ -104,7 +98,8 @@ def cycle_closure(
             raise ValueError(f"the training run at {point.label}: {error}; {remedy}") from error
     viscosities = np.array([case.plan.kinematic_viscosity(point) for point in points])
     pushed = 0.0 if amplitude is None else float(amplitude(times[-1:])[0])
-    return CycleClosure(operators, viscosities, [p.factors for p in points], cycles, pushed)
+    factors = [point.factors for point in points]
+    return CycleClosure(operators, TrainedCycles.of_runs(viscosities, factors, cycles, pushed))
 
 
 def snapshot_times(case: Case) -> Array:
@@ -127,7 +122,7 @@ def read_operators(workspace: Workspace, name: str) -> BasisOperators:
 def recorded_of(case: Case, stored: BasisOperators) -> dict[str, Quantities]:
     """Return the measurements (n_runs, n_snapshots, ...) of a basis's full training runs."""
     recorded: dict[str, Quantities] = {
-        name: {q: vars(measure)[f"training_{q}"] for q in ReducedMeasure.of(measure).quantities}
+        name: {q: measure.training[f"training_{q}"] for q in measure.quantities}
         for name, measure in stored.measure.items()
     }
     recorded |= {name: totals(force.training_loads) for name, force in stored.wall_force.items()}

@@ -17,7 +17,8 @@ from sphrom.arrays import Array, Indices
 from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import COEFFICIENT, Quantities
+from sphrom.metrics.measures import Quantities
+from sphrom.metrics.quantities import COEFFICIENT
 from sphrom.metrics.series import smoothed
 from sphrom.models.points.basis_model import BasisModel, Start, forces_of, quantities_of
 from sphrom.models.points.stored import (
@@ -31,15 +32,11 @@ from sphrom.models.points.stored import (
     stored_starts,
 )
 from sphrom.models.reference.stored import read_basis, read_modes
-from sphrom.reduction.calibration import (
-    Calibration,
-    CycleClosure,
-    TrainedCycles,
-    harmonics_of,
-)
+from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import UNLIMITED, Correction, learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
@@ -212,7 +209,7 @@ class _Training:
                     raise CaseError(f"rom.calibrated: {error}") from error
             else:
                 if isinstance(closure, CycleClosure):
-                    cycles = TrainedCycles.of_closure(closure)
+                    cycles = closure.trained
                 else:
                     calibration = closure
         return TrainedRates(
@@ -245,7 +242,9 @@ class _Training:
                 harmonics = np.stack(
                     [
                         harmonics_of(self.times, e.reshape(len(self.times), -1), cycle.frequency)
-                        for e, cycle in zip(force.training_loads, closure.cycles, strict=True)
+                        for e, cycle in zip(
+                            force.training_loads, closure.trained.cycles, strict=True
+                        )
                     ]
                 )
                 on_cycles = CycleLoads(real=harmonics.real, imaginary=harmonics.imag)
@@ -354,5 +353,5 @@ class _Training:
                 for q, each in full.items()
                 if q != COEFFICIENT
             }
-            found[name] = Differences(**quantities)
+            found[name] = Differences(quantities=quantities)
         return found

@@ -11,8 +11,8 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts.records.runs import TrainedSurfaceModel
+from sphrom.case.measure_sections import ForceMeasure, RecordedMeasure, SurfaceMeasure
 from sphrom.case.points import ParameterPoint
-from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, with_coefficients
 from sphrom.models.contract import (
@@ -172,19 +172,14 @@ class SurfaceRun(ModelRun):
         measured = {name: self._measure(name, each) for name, each in case.scene.recorded.items()}
         return with_coefficients(measured, case.plan.coefficients)
 
-    def _measure(self, name: str, section: MeasureSection) -> Quantities:
+    def _measure(self, name: str, section: RecordedMeasure) -> Quantities:
         graph = self.reduced.graph
         state = self.coordinates
         density = self.reduced.density
         domain = self.model.workspace.case.scene.domain
-        if section.elevation is not None:
-            return {"elevation": graph.elevation(state, np.array([section.elevation]))[:, 0]}
-        if section.of_fluid == "energy":
-            potential = density * graph.potential_energy(state)
-            return {"kinetic_energy": self.kinetic_energy, "potential_energy": potential}
-        if section.of_fluid is not None:
-            return {"centre_of_mass": graph.centre_of_mass(state)}
-        if section.force_on is not None:
+        if isinstance(section, SurfaceMeasure):
+            return section.of(self)
+        if isinstance(section, ForceMeasure):
             lower, upper = np.array((domain.lower, domain.upper))
             centre = 0.5 * (lower + upper)
             force, torque = graph.wall_force(self.time, state, section.force_on, centre)
@@ -192,6 +187,20 @@ class SurfaceRun(ModelRun):
         measure = field_measures(self.model.workspace.case)[name]
         samples = self.sampled(measure.position)
         return measure.of(samples.velocity, samples.pressure)
+
+    @property
+    def potential_energy(self) -> Array:
+        """The potential energy (n_snapshots,) [J/m]."""
+        return self.reduced.density * self.reduced.graph.potential_energy(self.coordinates)
+
+    @property
+    def centre_of_mass(self) -> Array:
+        """The centre of mass (n_snapshots, 2) [m]."""
+        return self.reduced.graph.centre_of_mass(self.coordinates)
+
+    def elevation_at(self, x: float) -> Array:
+        """Return the height of the surface (n_snapshots,) [m] at a place [m]."""
+        return self.reduced.graph.elevation(self.coordinates, np.array([x]))[:, 0]
 
     def sampled(self, points: Array) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], zero above the surface."""

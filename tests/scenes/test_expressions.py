@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sphrom.case.expressions import Expression
+from sphrom.scenes.expressions import Expression
 
 X = np.linspace(-1.0, 2.0, 7)
 

@@ -1,4 +1,4 @@
-"""Expressions of a case file, such as `0.1*sin(2*pi*y)`, evaluated without running Python code.
+"""Expressions of flows, such as `0.1*sin(2*pi*y)`, evaluated without running Python code.
 
 The text is parsed and may contain numbers, known names and functions only; numexpr evaluates it.
 """

@@ -1,0 +1,225 @@
+"""Other programs' fields in the units, the frame and with the particles of a case, checked.
+
+Either density or pressure is read, and the other follows from the equation of state (Eq. 2.8).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from sphrom.arrays import Array
+from sphrom.case.loader import given_keys, load_case
+from sphrom.case.models import Case
+from sphrom.case.yaml_reader import dump_yaml
+from sphrom.errors import ArtifactError, CaseError
+from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot, Source, read_foreign
+from sphrom.exchange.import_options import ImportOptions, pair, place
+from sphrom.exchange.instants import TIME_TOLERANCE, find_sources, interval, series
+from sphrom.sph import fluid
+from sphrom.sph.fluid import fluctuation_of
+from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
+
+VELOCITIES = (("u", "v"), ("velocity.x", "velocity.y"))
+"""Default names of the components of velocity."""
+FLUCTUATION = "density_fluctuation"
+"""Name of the density less its reference value in files that this program exported."""
+ROUNDING = 1e-6
+"""Share of the largest speed up to which a third component of velocity counts as zero."""
+MOST_SPEED = 5.0
+"""Speed over that of the scene, above which the unit is probably wrong."""
+COUNT_TOLERANCE = 0.05
+"""Relative tolerance of the number of particles: programs fill edges differently."""
+
+
+class Converter:
+    """Reads snapshots, checks them, converts them to the case's units and frame, keeps extremes."""
+
+    def __init__(self, case: Case, options: ImportOptions, source: Source) -> None:
+        self.options = options
+        self._case = case
+        self._first = first = read_foreign(source, options.array)
+        self._position = pair("position", options.position)
+        self._origin = place("origin", options.origin)
+        self._scales = options.scales
+        usual = next((names for names in VELOCITIES if names[0] in first.fields), VELOCITIES[0])
+        self._velocity = usual if options.velocity is None else pair("velocity", options.velocity)
+        self.n_particles = first.n_particles
+        self.largest_speed = self.largest_fluctuation = 0.0
+        if (fitting := _fitting_resolution(case, self.n_particles)) is not None:
+            raise CaseError(
+                f"discretization.resolution: the case has {case.plan.n_particles} particles, "
+                f"{first.path} has {self.n_particles}: "
+                f"--set discretization.resolution={fitting} is nearest; --write-case FILE sets it"
+                + (", and basis.lagrangian needs the exact number" * case.basis.lagrangian)
+            )
+
+    def __call__(self, source: Source) -> Snapshot:
+        """Return a snapshot in SI units and the scene's frame, with its particles in the box.
+
+        Raises CaseError or ArtifactError if it does not fit the case or the first snapshot.
+        """
+        foreign = read_foreign(source, self.options.array)
+        order = self._order(foreign)
+        velocity = np.stack([foreign.field(name, "--velocity")[order] for name in self._velocity])
+        velocity = velocity * self._scales["velocity"]
+        self.largest_speed = max(self.largest_speed, float(np.hypot(*velocity).max()))
+        self._require_flat(foreign)
+        position = self._place(foreign)[order]
+        scene = self._case.plan.max_speed
+        largest = self.largest_speed
+        is_fast = largest > MOST_SPEED * scene
+        fitting = self.options.fitting("velocity", scene / largest) if is_fast else ""
+        if fitting or largest > self._case.plan.sound_speed:
+            raise CaseError(
+                f"{foreign.path}: the largest speed is {largest:.4g} m/s, that of the scene is "
+                f"about {scene:.4g} m/s (fluid.reference_speed){fitting}"
+            )
+        fluctuation = self._fluctuation(foreign)[order]
+        return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)
+
+    def _order(self, foreign: ForeignSnapshot) -> NDArray[np.intp]:
+        """Return the order in which particles are the same in all files."""
+        if foreign.n_particles != self.n_particles:
+            raise ArtifactError(
+                f"{foreign.path}: has {foreign.n_particles} particles, {self._first.path} has "
+                f"{self.n_particles}; particles that enter or leave can't be imported"
+            )
+        if (name := self.options.sort_by) is None:
+            return np.arange(self.n_particles)
+        numbers = foreign.field(name, "--sort-by")
+        firsts = self._first.field(name, "--sort-by")
+        unique = np.unique(numbers)
+        if len(unique) < self.n_particles or not np.array_equal(unique, np.sort(firsts)):
+            raise ArtifactError(
+                f"{foreign.path}: {name} (--sort-by) must be a unique number of each "
+                "particle, the same in all files"
+            )
+        return np.argsort(numbers)
+
+    def _place(self, foreign: ForeignSnapshot) -> Array:
+        """Return positions (n_particles, 2) [m] in the scene, checked."""
+        domain = self._case.scene.domain
+        columns = [foreign.field(name, "--position") for name in self._position]
+        position = (np.stack(columns, axis=1) - self._origin) * self._scales["length"]
+        low = position.min(axis=0)
+        high = position.max(axis=0)
+        spacing = self._case.plan.particle_spacing
+        # The fourth neighbour is one spacing away in lattices, and nearly so if particles pair.
+        distance = float(np.median(KDTree(position).query(position, 5)[0][:, 4]))
+        position = domain.wrap(position)
+        outside = int(np.sum(~domain.contains(position)))
+        if outside or not 0.7 < distance / spacing < 1.9:
+            fitting = self.options.fitting("length", spacing / (distance or spacing))
+            raise CaseError(
+                f"{foreign.path}: {outside} of the particles are outside the scene; all span "
+                f"{low[0]:.6g} to {high[0]:.6g} m and {low[1]:.6g} to {high[1]:.6g} m, with a "
+                f"spacing of {distance:.3g} m, and {spacing:.3g} m in the case; check --units, "
+                f"--origin, --array and the size of the scene{fitting}"
+            )
+        return position
+
+    def _require_flat(self, foreign: ForeignSnapshot) -> None:
+        """Raise CaseError if points or velocities leave the plane; named components may."""
+        third = _third(self._position, foreign.fields)
+        depth = 0.0 if third is None else float(np.ptp(foreign.fields[third]))
+        is_flat = depth * self._scales["length"] <= 0.5 * self._case.plan.particle_spacing
+        if is_flat and self.options.velocity is None:
+            third = _third(self._velocity, foreign.fields)
+            depth = 0.0 if third is None else float(np.abs(foreign.fields[third]).max())
+            is_flat = depth * self._scales["velocity"] <= ROUNDING * self.largest_speed
+        if not is_flat:
+            raise CaseError(
+                f"{foreign.path}: is three-dimensional: {third} reaches {depth:.4g}; name the "
+                "components in the plane of the flow with --position and --velocity"
+            )
+
+    def _fluctuation(self, foreign: ForeignSnapshot) -> Array:
+        """Return the density less its reference value (n_particles,) [kg/m3], checked."""
+        reference = self._case.fluid.reference_density
+        if self.options.pressure is None:
+            usual = FLUCTUATION if FLUCTUATION in foreign.fields else "rho"
+            name = self.options.density or usual
+            density = foreign.field(name, "--density, or use --pressure") * self._scales["density"]
+            fluctuation = density - (0.0 if name == FLUCTUATION else reference)
+        else:
+            pressure = foreign.field(self.options.pressure, "--pressure") * self._scales["pressure"]
+            if self.options.zero_mean_pressure:
+                pressure = pressure - pressure.mean()
+            fluctuation = fluctuation_of(pressure, self._case.plan.sound_speed)
+        largest = float(np.abs(fluctuation).max()) / reference
+        self.largest_fluctuation = max(self.largest_fluctuation, largest)
+        if largest > DENSITY_LIMIT:
+            raise CaseError(
+                f"{foreign.path}: |rho - rho_0| / rho_0 is {largest:.3g}, above the limit of "
+                f"{DENSITY_LIMIT:g} for a weakly compressible flow; check the density or pressure "
+                "of --units, fluid.reference_density and fluid.mach_number"
+            )
+        return fluctuation
+
+
+def _third(names: tuple[str, str], fields: Collection[str]) -> str | None:
+    """Return the field of a vector's third component, given the names of two; None if missing."""
+    vector = names[0].rpartition(".")[0]
+    families = (COMPONENTS, ("u", "v", "w"), tuple(f"{vector}.{c}" for c in COMPONENTS))
+    others = [set(family) - set(names) for family in families if set(names) <= set(family)]
+    return next((name for other in others for name in other if name in fields), None)
+
+
+def fitted_case(
+    source: Path,
+    overrides: Sequence[str],
+    files: Sequence[Path],
+    options: ImportOptions,
+    into: Path,
+) -> tuple[str, list[str]]:
+    """Return the text of a case fitted to files, and the changed keys as `key=value`.
+
+    The times change and, if the number of particles differs, the resolution. The time step is a
+    whole fraction of the time between two snapshots, as stable as the case requires. Paths in the
+    case are relative to the folder `into`.
+
+    Raises CaseError when the case is not valid, or the files have fewer than two snapshots;
+    ArtifactError when a file can't be read.
+    """
+    sources = find_sources(files, options)
+    case = load_case(source, overrides)
+    keys = list[str]()
+    n_foreign = read_foreign(sources[0], options.array).n_particles
+    if (resolution := _fitting_resolution(case, n_foreign)) is not None:
+        keys.append(f"discretization.resolution={resolution}")
+    if case.time.spin_up > 0.0:
+        keys.append("time.spin_up=0")
+    case = load_case(source, [*overrides, *keys])
+    plan = case.plan
+    between = interval(sources)
+    limit = case.time.courant_number / fluid.COURANT_LIMIT * plan.limits.least
+    every = max(1, math.ceil(between / limit))
+    n = int(sources[-1].time / between + TIME_TOLERANCE)
+    keys += [
+        f"time.final_time={float(f'{between * n:.12g}')!r}",
+        f"time.step={float(f'{between / every:.12g}')!r}",
+        f"snapshots.every={every}",
+    ]
+    try:
+        load_case(source, [*overrides, *keys])
+    except CaseError as error:  # the user gave none of these keys
+        reason = re.sub(r"^because of --set [^:]*: ", "", str(error))
+        raise CaseError(f"fitted to {series(sources)}, the case is invalid: {reason}") from error
+    text = dump_yaml(given_keys(source, [*overrides, *keys], into))
+    return f"# {source.name}, fitted to {files[0].name} and others.\n{text}", keys
+
+
+def _fitting_resolution(case: Case, n_particles: int) -> int | None:
+    """Return the resolution for about so many particles; None if the case has as many already."""
+    ratio = n_particles / case.plan.n_particles
+    # Lagrangian bases need the exact number of particles.
+    if abs(ratio - 1.0) <= (0.0 if case.basis.lagrangian else COUNT_TOLERANCE):
+        return None
+    return round(case.discretization.resolution * ratio**0.5)

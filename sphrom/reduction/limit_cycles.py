@@ -1,0 +1,301 @@
+"""The closure by limit cycles: models settle on the cycles of their training runs.
+
+In the periodic state of a wake, the modes hardly represent its damping. Over a long time a model
+settles on a cycle of its own, with another amplitude and frequency. Training runs give the cycle
+
+    C(phi) = A_0 + Re sum_k A_k exp(i k phi),    dphi/dt = omega,
+
+by a fit to their coordinates. Just beyond its onset, an oscillation follows the equation
+of Stuart and Landau (Landau 1944; Stuart 1960): squared amplitude and frequency are linear in the
+Reynolds number, and harmonic k grows with the power k of the amplitude r = |A_1|. Therefore omega,
+r^2 and A_k / r^k are interpolated in 1/nu and the other parameters, with A_1 of all runs in phase.
+
+The rates f at a point get a constant and a linear term, fitted to the interpolated cycle,
+
+    c + A C = omega dC/dphi - f(C),
+
+so that the cycle is a solution, while f determines how states approach it. Directions in which the
+cycle does not move are damped. With too little damping, modes that training runs hardly determine
+lead away from the cycle; with too much, the mean flow cannot follow the oscillation and limit its
+amplitude. The chosen damping makes disturbances of the trained cycles decay fastest (by Floquet
+multipliers). Forces get such terms too, fitted to the recorded ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.arrays import Array
+from sphrom.declaration import Record, attribute, dataset
+from sphrom.metrics.series import dominant_frequency
+from sphrom.reduction.correction import spline_weights
+from sphrom.reduction.reduced_measures import PointForce
+from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators
+from sphrom.sph.fluid import NONE, Factors
+
+Harmonics = NDArray[np.complex128]
+"""A_k (1 + N_HARMONICS, n_values)."""
+
+N_HARMONICS = 4
+ORDERS = np.arange(1 + N_HARMONICS)
+N_PHASES = 64
+"""Number of phases of a cycle at which rates are fitted."""
+PHASES = 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES
+PERIODIC = 0.9
+"""Least share of a run's fluctuations that the harmonics have to explain."""
+RIDGE = 1e-4
+"""Penalty of fits, over the mean square of a direction in which the cycle moves."""
+DAMPINGS = (0.0, 0.0625, 0.125, 0.25, 0.5, 1.0)
+"""Candidate damping rates over omega."""
+
+
+@dataclass(frozen=True)
+class LimitCycle:
+    """A periodic state in generalized coordinates."""
+
+    frequency: float
+    """omega [rad/s]."""
+    harmonics: Harmonics
+    """Of the coordinates."""
+
+    @property
+    def states(self) -> Array:
+        """(N_PHASES, n_modes), at equally spaced phases."""
+        return around(self.harmonics)
+
+    @property
+    def rates(self) -> Array:
+        """(N_PHASES, n_modes), the time derivatives of the states [1/s]."""
+        return around(1j * self.frequency * ORDERS[:, None] * self.harmonics)
+
+
+def around(harmonics: Harmonics) -> Array:
+    """Return values (N_PHASES, n_values) at equally spaced phases."""
+    return np.asarray((np.exp(1j * np.outer(PHASES, ORDERS)) @ harmonics).real)
+
+
+def harmonics_of(time: Array, values: Array, frequency: float) -> Harmonics:
+    """Return the harmonics of values (n_times, n_values) at a frequency [rad/s]."""
+    turns = frequency * np.outer(time, ORDERS)
+    waves = np.hstack((np.cos(turns), np.sin(turns[:, 1:])))
+    fitted = np.linalg.lstsq(waves, values)[0].astype(np.complex128)
+    fitted[1 : len(ORDERS)] -= 1j * fitted[len(ORDERS) :]
+    return fitted[: len(ORDERS)]
+
+
+def fitted_cycle(time: Array, states: Array) -> LimitCycle:
+    """Return the cycle of a run's coordinates (n_snapshots, n_modes).
+
+    Raises ValueError if the run is too short or not periodic.
+    """
+    from scipy.optimize import minimize_scalar  # few models need it
+
+    moved = states - states.mean(axis=0)
+    leading = moved @ np.linalg.svd(moved, full_matrices=False)[2][0]
+    first = 2.0 * math.pi * dominant_frequency(time, leading)
+
+    def missed(frequency: float) -> float:
+        harmonics = harmonics_of(time, states, frequency)
+        waves = np.exp(1j * frequency * np.outer(time, ORDERS))
+        return float(np.sum((states - (waves @ harmonics).real) ** 2))
+
+    step = 0.1 * math.pi / float(time[-1] - time[0])
+    frequency = float(minimize_scalar(missed, bracket=(first - step, first + step)).x)
+    explained = 1.0 - missed(frequency) / float(np.sum(moved**2))
+    if not explained > PERIODIC:
+        raise ValueError(
+            f"is not periodic: harmonics of {frequency / (2.0 * math.pi):.4g} Hz explain "
+            f"{100.0 * explained:.0f} % of its fluctuations"
+        )
+    return LimitCycle(frequency, harmonics_of(time, states, frequency))
+
+
+class TrainedCycles(Record):
+    """The limit cycles of training runs, with the parameters of these runs."""
+
+    viscosities: Array = dataset("run", "m2/s", "viscosity of each run", "nu")
+    values: Mapping[str, Array] = dataset(
+        "run", "of the parameter", "value of another parameter in each run", default_factory=dict
+    )
+    frequencies: Array = dataset("run", "rad/s", "angular frequency of each cycle", "omega")
+    real: Array = dataset(
+        "run harmonic mode", "of the modes", "real parts of the coordinates' harmonics", "A_k"
+    )
+    imaginary: Array = dataset(
+        "run harmonic mode", "of the modes", "imaginary parts of the coordinates' harmonics", "A_k"
+    )
+    amplitude: float = attribute("1", "amplitude of the driving, which does not change")
+
+    @classmethod
+    def of_runs(
+        cls,
+        viscosities: Array,
+        factors: Sequence[Factors],
+        cycles: Sequence[LimitCycle],
+        amplitude: float,
+    ) -> TrainedCycles:
+        """Return the record of cycles at viscosities [m2/s] and values of the other parameters."""
+        harmonics = np.stack([cycle.harmonics for cycle in cycles])
+        return cls(
+            viscosities=viscosities,
+            values={name: np.array([f[name] for f in factors]) for name in factors[0]},
+            frequencies=np.array([cycle.frequency for cycle in cycles]),
+            real=harmonics.real.copy(),
+            imaginary=harmonics.imag.copy(),
+            amplitude=amplitude,
+        )
+
+    @cached_property
+    def cycles(self) -> list[LimitCycle]:
+        """The cycle of each run."""
+        return list(map(LimitCycle, self.frequencies.tolist(), self.real + 1j * self.imaginary))
+
+    @cached_property
+    def points(self) -> list[tuple[float, Factors]]:
+        """Viscosity and values of the other parameters of each run."""
+        return [
+            (viscosity, {name: float(values[run]) for name, values in self.values.items()})
+            for run, viscosity in enumerate(self.viscosities.tolist())
+        ]
+
+
+@dataclass(frozen=True)
+class CycleClosure:
+    """The closure of a model, at any parameters, by the cycles of its training runs."""
+
+    operators: ReducedOperators
+    trained: TrainedCycles
+
+    @cached_property
+    def _harmonics(self) -> Harmonics:
+        """(n_runs, 1 + N_HARMONICS, n_modes)."""
+        return np.array([cycle.harmonics for cycle in self.trained.cycles])
+
+    @cached_property
+    def _turns(self) -> Harmonics:
+        """(n_runs, 1 + N_HARMONICS, 1) rotations that bring all runs into phase."""
+        first = self._harmonics[:, 1]
+        phases = [np.angle(np.vdot(first[0], oscillation)) for oscillation in first]
+        return np.exp(-1j * np.multiply.outer(phases, ORDERS))[..., None]
+
+    @cached_property
+    def _radii(self) -> Array:
+        return np.linalg.norm(self._harmonics[:, 1], axis=1)
+
+    def _weights(self, viscosity: float, factors: Factors) -> Array:
+        lowest = self.trained.viscosities.min()
+        sizes = {name: np.abs(x).max() or 1.0 for name, x in self.trained.values.items()}
+
+        def scaled(nu: float, values: Factors) -> list[float]:
+            return [lowest / nu, *(values[name] / size for name, size in sizes.items())]
+
+        trained = np.array([scaled(*point) for point in self.trained.points])
+        return spline_weights(trained, np.array(scaled(viscosity, factors)))
+
+    def _square(self, weights: Array) -> float:
+        """Return r^2 over the largest of the training runs; negative below the onset."""
+        return float(weights @ self._radii**2) / float(self._radii.max()) ** 2
+
+    def _between(self, weights: Array, harmonics: Harmonics, fitted: bool = True) -> Harmonics:
+        """Return interpolated harmonics; `fitted`: of a radius not below the training runs'."""
+        radius = self._radii.max() * math.sqrt(max(self._square(weights), 0.0))
+        radius = max(radius, self._radii.min()) if fitted else radius
+        scales = (radius / self._radii[:, None]) ** ORDERS
+        return np.asarray(np.tensordot(weights, scales[..., None] * self._turns * harmonics, 1))
+
+    def cycle_at(
+        self, viscosity: float, factors: Factors = NONE, fitted: bool = False
+    ) -> LimitCycle:
+        """Return the cycle at a point; if `fitted`, not smaller than the smallest trained one."""
+        weights = self._weights(viscosity, factors)
+        frequency = float(weights @ self.trained.frequencies)
+        return LimitCycle(frequency, self._between(weights, self._harmonics, fitted))
+
+    def at(self, viscosity: float, factors: Factors = NONE) -> Polynomial:
+        """Return the added rates at a viscosity [m2/s] and values of the other parameters."""
+        return self._damped(viscosity, factors, self._damping)
+
+    def _damped(self, viscosity: float, factors: Factors, damping: float) -> Polynomial:
+        rates = self.operators.at(viscosity, factors)
+        pushed = np.full(N_PHASES, self.trained.amplitude)
+        cycle, unfitted = (self.cycle_at(viscosity, factors, fitted) for fitted in (True, False))
+        of_cycle, missing = (c.rates - rates.along(c.states, pushed) for c in (cycle, unfitted))
+        linear = _slope(cycle.states, of_cycle)
+        mean = cycle.harmonics[0].real
+        moving = _projector(cycle.harmonics[1:])
+        linear -= damping * cycle.frequency * (np.eye(len(linear)) - moving)
+        below = min(self._square(self._weights(viscosity, factors)), 0.0)
+        linear += below * cycle.frequency / (2.0 * math.pi) * moving
+        return Polynomial(((missing.mean(axis=0) - linear @ mean, linear),))
+
+    @cached_property
+    def _damping(self) -> float:
+        return DAMPINGS[int(np.argmin([self.slowest(damping) for damping in DAMPINGS]))]
+
+    def slowest(self, damping: float | None = None) -> float:
+        """Return the largest Floquet multiplier of trained cycles across their direction."""
+        largest = []
+        used = self._damping if damping is None else damping
+        for point in self.trained.points:
+            cycle = self.cycle_at(*point)
+            growth = np.eye(self.operators.n_modes)
+            rates = self.operators.at(*point).plus(self._damped(*point, used))
+            jacobians = rates.jacobians(cycle.states, self.trained.amplitude)
+            half = math.pi / (cycle.frequency * N_PHASES) * jacobians
+            for step in np.linalg.solve(np.eye(len(growth)) - half, np.eye(len(growth)) + half):
+                growth = step @ growth
+            multipliers = np.linalg.eigvals(growth)
+            others = np.delete(multipliers, int(np.abs(multipliers - 1.0).argmin()))
+            largest.append(float(np.abs(others).max(initial=0.0)))
+        return max(largest)
+
+    def force_at(
+        self,
+        force: PointForce,
+        trained: Sequence[PointForce],
+        loads: Sequence[Harmonics],
+        viscosity: float,
+        factors: Factors,
+    ) -> PointForce:
+        """Return a force corrected by the differences between recorded loads and the model's.
+
+        `trained` are the forces at the runs' parameters, and `loads` the harmonics
+        (1 + N_HARMONICS, 6) [N/m, N] of the recorded ones.
+        """
+
+        def modelled(at: PointForce, cycle: LimitCycle) -> Array:
+            pushed = np.full(N_PHASES, self.trained.amplitude)
+            return at.polynomial.along(cycle.states, pushed) + cycle.rates @ at.momentum.T
+
+        defects = np.array(
+            [
+                recorded - harmonics_of(PHASES, modelled(at, cycle), 1.0)
+                for recorded, at, cycle in zip(loads, trained, self.trained.cycles, strict=True)
+            ]
+        )
+        cycle = self.cycle_at(viscosity, factors, fitted=True)
+        missing = around(self._between(self._weights(viscosity, factors), defects))
+        linear = _slope(cycle.states, missing)
+        constant = missing.mean(axis=0) - linear @ cycle.harmonics[0].real
+        return replace(force, polynomial=force.polynomial.plus(Polynomial(((constant, linear),))))
+
+
+def _slope(states: Array, values: Array) -> Array:
+    """Return the smallest matrix (n_values, n_modes) that fits values to states."""
+    moved = states - states.mean(axis=0)
+    gram = moved.T @ moved
+    gram += RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
+    return np.linalg.solve(gram, moved.T @ (values - values.mean(axis=0))).T
+
+
+def _projector(harmonics: Harmonics) -> Array:
+    """Return the projector (n_modes, n_modes) onto the directions of some harmonics."""
+    directions = np.linalg.svd(np.vstack((harmonics.real, harmonics.imag)), full_matrices=False)
+    kept = directions[2][directions[1] ** 2 > RIDGE * directions[1][0] ** 2]
+    return np.asarray(kept.T @ kept)

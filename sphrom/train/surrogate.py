@@ -1,0 +1,266 @@
+"""The model that a training improves: full runs, the model trained on them, and its errors.
+
+Full runs and maps belong to the case and are kept. Bases, splines and operators are made anew for
+each set of training points, in a folder of their own, at a small part of the cost of a full run.
+
+Errors are root mean squares over the reference points and the compared times, over those of the
+field [%], for the velocity and for the pressure less its mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sphrom.arrays import Array, Mask
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.case.studies import trained_at
+from sphrom.errors import CaseError, UnstableError
+from sphrom.metrics.measures import since
+from sphrom.models import fom
+from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.stages import OPERATORS, map_runs
+from sphrom.reduction.trial_basis import (
+    TrialBasis,
+    mean_density_fluctuation,
+    project,
+    reconstruct,
+    weighted_mean,
+)
+from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room, runs_that_fit
+from sphrom.store.variants import Variant
+from sphrom.sweep.workers import Failure, Task, start_workers
+from sphrom.train.outcome import FOLDER, HeldOut
+
+MADE_HERE = ("basis", "spline", "b-spline", "operators")
+"""Kinds of artifacts that these stages make."""
+N_BLOCK_SNAPSHOTS = 16
+"""Number of snapshots to read at once."""
+NONE = np.full(2, np.inf)
+"""The errors of a diverged run, and missing estimates."""
+
+
+class Surrogate:
+    """A model that is trained on full runs, and on more of them where it is asked to."""
+
+    def __init__(
+        self,
+        context: StageContext,
+        section: ReducedModelSection,
+        starts: Sequence[ParameterPoint],
+        workers: int | None,
+        scheduler: str | None,
+    ) -> None:
+        """Make the first full runs. Raises UnstableError if one becomes unstable."""
+        self._context = context
+        self._section = section
+        self._workers = workers
+        self._scheduler = scheduler
+        self.points = tuple(starts)
+        """The training points."""
+        for point, reason in self._full_runs(starts).items():
+            raise UnstableError(
+                f"{point.label}, a corner of the region: the full run became unstable: {reason}; "
+                "try a smaller region"
+            )
+
+    @property
+    def at_once(self) -> int:
+        """The number of full runs that can be made at once."""
+        report = self._context.report
+        with start_workers(self._workers or 1, self._scheduler, report) as workers:
+            return workers.number
+
+    def evaluate(self, candidates: Sequence[ParameterPoint]) -> tuple[Array, Array]:
+        """Train the model, and return its errors [%].
+
+        They are the estimates (n_candidates, 2) for the model, and the largest errors (2,) of the
+        best approximations of the training runs.
+        """
+        self._model = StageModel(self._context, self._section, self.points)
+        name = f"error of {self._section.name}, {len(self.points)} full runs"
+        estimates = []
+        with self._context.report.progress(name, len(candidates)) as advance:
+            for point in candidates:
+                estimates.append(self._model.estimate(point))
+                advance(1)
+        return np.array(estimates), self._model.floor()
+
+    def extend(self, chosen: Mapping[ParameterPoint, Array]) -> tuple[HeldOut, ...]:
+        """Make full runs at points, compare them with the model, and add the stable ones to it.
+
+        `chosen` are the estimates (2,) by point.
+        """
+        problems = self._full_runs(tuple(chosen))
+        held_out = []
+        for point, estimate in chosen.items():
+            if (problem := problems.get(point)) is None:
+                held_out.append(HeldOut(point, estimate, *self._model.compared(point)))
+                self.points += (point,)
+            else:
+                held_out.append(HeldOut(point, estimate, NONE, NONE, problem))
+                self._context.report.warn(
+                    f"{point.label}: left out, as its full run became unstable: {problem}"
+                )
+        return tuple(held_out)
+
+    def _full_runs(self, points: Sequence[ParameterPoint]) -> dict[ParameterPoint, str]:
+        # The time steps of a full run depend on all points of the case.
+        every = tuple(dict.fromkeys((*self.points, *points)))
+        variant = Variant(self._context, trained_at(self._context.case, every))
+        return make_full_runs(variant, points, self._workers, self._scheduler)
+
+    def share(self) -> list[str]:
+        """Make the case's bases, splines and operators for the points, unless some exist.
+
+        Artifacts of other points are kept, and their names are returned, so that the user decides.
+        """
+        variant = Variant(self._context, trained_at(self._context.case, self.points))
+        here = variant.workspace
+        existing = (t for t in (here.basis(), here.splines(), here.operators()) if t.path.exists())
+        kept = [target.path.name for target in existing if here.reason_to_make(target) is not None]
+        if not kept:
+            variant.made(OPERATORS)
+        return kept
+
+
+def make_full_runs(
+    variant: Variant,
+    points: Sequence[ParameterPoint],
+    workers: int | None,
+    scheduler: str | None,
+) -> dict[ParameterPoint, str]:
+    """Make and map missing full runs at points; return reasons of unstable ones, by point.
+
+    Stopped runs continue from their checkpoints. With `workers` None, runs use all cores.
+
+    Raises SphromError if a run fails for another reason than instability.
+    """
+    case = variant.case
+    workspace = variant.workspace
+    require_room(case, workspace.out, points, "fom")
+    fom.ensure_packed(workspace)
+    missing = [p for p in points if workspace.reason_to_make(workspace.full_run(p)) is not None]
+    failed: list[Failure] = []
+    if missing:
+        number = min(workers or runs_that_fit(case, "fom"), len(missing))
+        with start_workers(number, scheduler, variant.origin.report) as started:
+            failed = started.run("full runs", workspace, missing, make_run)
+    for failure in failed:
+        if failure.kind is not UnstableError:
+            raise failure.kind(f"{failure.point.label}: {failure.reason}")
+    # Unstable runs are on disk, too, also those of earlier calls.
+    problems = {failure.point: failure.reason for failure in failed}
+    variant = replace(variant)  # knows nothing of the artifacts before
+    workspace = variant.workspace
+    for point in points:
+        if point not in problems:
+            with workspace.open(workspace.full_run(point)) as run:
+                if run.text("status") != "complete":
+                    problems[point] = run.text("status_detail")
+    stable = tuple(point for point in points if point not in problems)
+    map_runs(replace(variant.context, only=stable))
+    return problems
+
+
+def make_run(task: Task) -> tuple[Failure, ...]:
+    """Make the full run of a task."""
+    fom.run(task.context(only=task.points, keep_valid=True, resume=True))
+    return ()
+
+
+class StageModel:
+    """A model that is trained at some points with mapped full runs."""
+
+    def __init__(
+        self, context: StageContext, model: ReducedModelSection, points: Sequence[ParameterPoint]
+    ) -> None:
+        """Make the bases, splines and operators for the points, unless they are up to date."""
+        case = trained_at(context.case, points)
+        variant = Variant(replace(context, force=False), case, FOLDER, only=MADE_HERE)
+        self.workspace = variant.made(OPERATORS)
+        self._points = points
+        self._fast = FastModel(self.workspace, model)
+
+    def estimate(self, point: ParameterPoint) -> Array:
+        """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
+        if (run := self._run(point)) is None or (estimate := run.estimate) is None:
+            return NONE
+        late = self._counted(run.time)
+        return _percent(
+            np.sum(estimate.errors[late] ** 2, axis=0), np.sum(estimate.sizes[late] ** 2, axis=0)
+        )
+
+    def floor(self) -> Array:
+        """Return the largest errors (2,) of the best approximations of the training runs."""
+        floors = [self.compared(point, approximation=True)[1] for point in self._points]
+        return np.asarray(np.max(floors, axis=0))
+
+    def compared(
+        self, point: ParameterPoint, *, approximation: bool = False
+    ) -> tuple[Array, Array]:
+        """Return the errors at a point with a mapped full run, of the model and of its basis.
+
+        The errors (2,) [%] of the model's run are infinite if it diverged. Those of the basis are
+        of the best approximation; with `approximation`, only these are computed.
+        """
+        basis = self._fast.at_point(point).basis
+        run = None if approximation else self._run(point)
+        error, floor, size = np.zeros((3, 2))
+        with self.workspace.open(self.workspace.mapped(point)) as mapped:
+            counted = np.flatnonzero(self._counted(mapped.read("time")))
+            end = counted[-1] + 1
+            for begin in range(counted[0], end, N_BLOCK_SNAPSHOTS):
+                block = slice(begin, min(begin + N_BLOCK_SNAPSHOTS, end))
+                density = mapped.dataset("density_fluctuation")[block]
+                velocity = mapped.dataset("velocity")[block]
+                fields = _fields(basis, density, velocity)
+                size += _squares(basis, fields)
+                mean = mean_density_fluctuation(basis, density)
+                best = reconstruct(basis, project(basis, density, velocity), mean)
+                floor += _squares(basis, _fields(basis, *best), fields)
+                if run is not None:
+                    mean = np.full(len(density), run.reduced.mean_density_fluctuation)
+                    state = reconstruct(basis, run.coordinates[block], mean)
+                    error += _squares(basis, _fields(basis, *state), fields)
+        return NONE if run is None else _percent(error, size), _percent(floor, size)
+
+    def _run(self, point: ParameterPoint) -> FastRun | None:
+        """Return the run at a point; None if it diverges or needs too many steps."""
+        try:
+            run = self._fast.run(point)
+        except CaseError:
+            return None
+        return None if run.failure is not None else run
+
+    def _counted(self, time: Array) -> Mask:
+        """Return the mask of the compared times."""
+        return since(time, self.workspace.case.compare.from_time)
+
+
+Fields = tuple[Array, Array]
+"""Velocities (n_snapshots, n_points, 2), and densities (n_snapshots, n_points) less their means."""
+
+
+def _fields(basis: TrialBasis, density: Array, velocity: Array) -> Fields:
+    return velocity, density - weighted_mean(density, basis.weights)[:, None]
+
+
+def _squares(basis: TrialBasis, fields: Fields, others: Fields | None = None) -> Array:
+    """Return sums of squares (2,) over points and snapshots, of fields or of their differences."""
+    velocity, density = fields
+    if others is not None:
+        velocity, density = velocity - others[0], density - others[1]
+    of_velocity = np.sum(np.sum(velocity**2, axis=2) @ basis.weights)
+    return np.array([of_velocity, np.sum(density**2 @ basis.weights)])
+
+
+def _percent(squares: Array, sizes: Array) -> Array:
+    """Return the relative errors [%] from sums of squares of errors and of fields."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = 100.0 * np.sqrt(squares / sizes)
+    return np.where(np.isfinite(shares), shares, np.inf)
