@@ -32,10 +32,11 @@ from rich.table import Table
 from sphrom.case.loader import load_case
 from sphrom.case.model_sections import PointModelSection
 from sphrom.case.models import Case
-from sphrom.compare.costs import full_run_timer, largest_step, particle_run_timer, taking_turns
+from sphrom.compare.costs import full_run_timer, largest_step, taking_turns
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.machine import one_blas_thread, seconds_of
+from sphrom.models.contract import model_of
 from sphrom.models.points.fast_model import FastModel
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
@@ -106,7 +107,7 @@ def timers(
         found[n_modes] = partial(seconds_of, integrator_of(workspace, n_modes)[1].run)
     for model in case.rom if faithful else ():
         if not model.from_operators:
-            found[model.projection] = particle_run_timer(workspace, model, point, step)
+            found[model.projection] = model_of(workspace, model).timer(point, step)
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import chain
 
 from sphrom.case.model_sections import ReducedModelSection
@@ -35,7 +35,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.measures import Samples, without_weight
 from sphrom.metrics.series import exponential_rate
-from sphrom.models.contract import basis_used, family_of
+from sphrom.models.contract import Limit, basis_used, family_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of
@@ -80,16 +80,6 @@ def run(context: StageContext) -> None:
     tell_answer(workspace, tables)
 
 
-@dataclass(frozen=True)
-class _Run:
-    """What is compared: its name, its basis and its number of modes, if any, and how it ended."""
-
-    name: str
-    basis: str | None = None
-    n_modes: int | None = None
-    status: str = "complete"
-
-
 def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:
     flows = ((point, case.plan.flow(point).exact) for point in case.plan.points)
     return [(point, flow) for point, flow in flows if flow is not None and case.compare.exact]
@@ -128,12 +118,12 @@ class _PointComparison:
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
             run = StoredRun.of(workspace, trajectory, point)
-            self.full = self._sampled("the full run", run)
+            self.full = self._sampled(run)
             writer.full_run(self.full)
             for row, profile in compare_with_references(self.case, point, trajectory, probes):
                 tables.reference.append(row)
                 writer.profile(row, profile)
-            self._describe_flow(FULL, run, self.full)
+            self._describe_flow(run, self.full)
             self.measured = measured_of(self.case, trajectory)
         self.family = family_of(self.case)
         if self.models:
@@ -145,10 +135,10 @@ class _PointComparison:
 
     def compare(self) -> None:
         """Add all comparisons at this point to the artifact and the tables."""
-        full = _Run(FULL)
-        self._measure(full, self.measured)
+        full = Limit(FULL, self.full, measured=self.measured)
+        self._measure(full)
         if "exact" in self.references:
-            self._add(full, self.full, "exact")
+            self._add(full, "exact")
         if self.models:
             self._compare_limits()
         for model in self.models:
@@ -159,25 +149,22 @@ class _PointComparison:
         """Compare the best that models can be, and simpler models."""
         limits = self.family.part("limits")
         for best in limits(self.workspace, self.models, self.point, self.probes):
-            compared = _Run(best.name, best.basis, best.n_modes, best.status)
-            self._add(compared, best.samples)
-            if best.measured is not None:
-                self._measure(compared, best.measured)
+            self._add(best)
+            self._measure(best)
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         workspace = self.workspace
         case = self.case
         basis, size = basis_used(workspace, model, self.point)
         with workspace.open(workspace.reduced_run(model, self.point)) as trajectory:
-            compared = _Run(model.name, basis, size, trajectory.text("status"))
+            status = trajectory.text("status")
             run = StoredRun.of(workspace, trajectory, self.point, model)
-            reduced = self._sampled(model.name, run)
-            self._describe_flow(model.name, run, reduced)
-            # A run that stopped early has no estimates and no speed-up.
-            if compared.status == "complete":
+            compared = Limit(model.name, self._sampled(run), basis, size, status=status)
+            self._describe_flow(run, compared.samples)
+            if status == "complete":  # a run that stopped early has no estimates and no speed-up
                 estimate = estimate_row(
                     trajectory,
-                    reduced,
+                    compared.samples,
                     self.full,
                     self.probes,
                     case.compare.from_time,
@@ -185,74 +172,70 @@ class _PointComparison:
                 )
                 self.tables.estimates.extend(filter(None, [estimate]))
                 measured = {**measured_of(case, trajectory), **run.whole}
-                self._measure(compared, measured, measured_estimates(case, trajectory))
+                self._measure(
+                    replace(compared, measured=measured), measured_estimates(case, trajectory)
+                )
         for against in self.references:
-            self._add(compared, reduced, against)
+            self._add(compared, against)
 
-    def _sampled(self, name: str, run: StoredRun) -> Samples:
+    def _sampled(self, run: StoredRun) -> Samples:
+        name = "the full run" if run.name == FULL else run.name
         text = f"sample {name}, {self.point.label}"
         with self.workspace.context.report.details.progress(text, len(run.time)) as advance:
             return run.sampled(self.probes.all, advance=advance)
 
-    def _describe_flow(self, name: str, run: StoredRun, samples: Samples) -> None:
+    def _describe_flow(self, run: StoredRun, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls, unless the run has no snapshots."""
         if self.case.scene.domain.has_walls and len(samples.time):
-            row = flow_row(self.case, name, self.point, run, samples, self.probes)
+            row = flow_row(self.case, self.point, run, samples, self.probes)
             self.tables.flow.append(row)
 
-    def _measure(
-        self, compared: _Run, measured: Measured, estimates: Measured | None = None
-    ) -> None:
-        """Add the rows of a run's measurements, grouped by quantity."""
+    def _measure(self, run: Limit, estimates: Measured | None = None) -> None:
+        """Add the rows of a run's measurements, if it has any, grouped by quantity."""
+        if run.measured is None:
+            return
         since = self.case.compare.from_time
         plan = self.case.plan
         for row in measure_rows(
-            measured,
+            run.measured,
             self.measured,
             self.full.time,
             lambda name: max(since, plan.means_from.get(name, plan.settled_from)),
             estimates or {},
-            with_weight=self.case.plan.with_weight,
-            n_modes=compared.n_modes,
-            **self._described(compared),
+            with_weight=plan.with_weight,
+            n_modes=run.n_modes,
+            **self._described(run),
         ):
             self.measures[row.measured, row.quantity].append(row)
         self.tables.oscillations.extend(
             oscillation_rows(
                 self.case,
                 self.full.time,
-                measured,
+                run.measured,
                 self.measured,
-                compared=compared.name,
+                compared=run.name,
                 parameters=self.point.label,
             )
         )
 
-    def _described(self, compared: _Run) -> dict[str, str]:
-        basis = compared.basis
-        role = "" if basis is None else role_of(self.case, basis, self.point)
-        return {"compared": compared.name, "parameters": self.point.label, "role": role}
+    def _described(self, run: Limit) -> dict[str, str]:
+        role = "" if run.basis is None else role_of(self.case, run.basis, self.point)
+        return {"compared": run.name, "parameters": self.point.label, "role": role}
 
-    def _add(self, compared: _Run, samples: Samples, against: str = FULL) -> None:
+    def _add(self, run: Limit, against: str = FULL) -> None:
         """Add the errors of a run, and its samples."""
-        run = samples
+        samples = run.samples
         reference = self.references[against]
         plan = self.case.plan
         if (weight := plan.weight_at(self.point, self.probes.all)) is not None:
-            run, reference = without_weight(run, reference, weight)
+            samples, reference = without_weight(samples, reference, weight)
         begin = self.case.compare.from_time
-        history = compare(run, reference, self.probes, begin, plan.longest_sound_period)
-        if compared.status == "complete" and len(history.time) == 0:
+        history = compare(samples, reference, self.probes, begin, plan.longest_sound_period)
+        if run.status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: the "
                 f"{against} solution is constant over the probes at all snapshots"
             )
-        row = error_row(
-            history,
-            compared.status,
-            compared.n_modes,
-            against=against,
-            **self._described(compared),
-        )
+        row = error_row(history, run.status, run.n_modes, against=against, **self._described(run))
         self.tables.errors.append(row)
-        self.writer.run(row, history, samples)
+        self.writer.run(row, history, run.samples)

@@ -220,7 +220,7 @@ def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None
 
 
 def flow_row(
-    case: Case, name: str, point: ParameterPoint, run: StoredRun, samples: Samples, probes: Probes
+    case: Case, point: ParameterPoint, run: StoredRun, samples: Samples, probes: Probes
 ) -> FlowRow:
     """Describe the flow of a run, full or reduced, from its fields and its samples at probes."""
     figures = []
@@ -241,7 +241,7 @@ def flow_row(
         with suppress(ValueError):
             frequency = dominant_frequency(samples.time[counted], crosswise[counted])
     return FlowRow(
-        run=name,
+        run=run.name,
         parameters=point.label,
         from_time=float(run.time[counted][0]),
         to_time=float(run.time[-1]),

@@ -17,7 +17,7 @@ def _row(case, trajectory):
     probes = probes_of(case)
     samples = sample_run(case, trajectory, probes.all)
     run = StoredRun(SimpleNamespace(case=case), trajectory, ParameterPoint(1.0))
-    return flow_row(case, "full", ParameterPoint(1.0), run, samples, probes)
+    return flow_row(case, ParameterPoint(1.0), run, samples, probes)
 
 
 def test_open_cavity_with_a_wave(case_of, made_up):
