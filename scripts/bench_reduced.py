@@ -30,8 +30,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sphrom.case.loader import load_case
+from sphrom.case.model_sections import PointModelSection
 from sphrom.case.models import Case
-from sphrom.case.sections import PointModelSection
 from sphrom.compare.costs import full_run_timer, largest_step, taking_turns
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads

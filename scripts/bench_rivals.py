@@ -37,9 +37,9 @@ from rich.table import Table
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
+from sphrom.case.model_sections import ALL, AUTO, PointModelSection
 from sphrom.case.plan_times import lengthened
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, AUTO, PointModelSection
 from sphrom.console import SilentReporter
 from sphrom.kernels.jit import set_threads
 from sphrom.models.points.fast_model import FastModel, FastRun

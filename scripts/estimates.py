@@ -30,9 +30,9 @@ import yaml
 from bench_rivals import SCENES
 
 from sphrom.case.loader import load_case
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.console import SilentReporter
 from sphrom.metrics.histories import effectivity
 from sphrom.models.points.fast_model import FastModel

@@ -30,7 +30,7 @@ import yaml
 from PIL import Image, ImageColor
 from scipy.integrate import solve_ivp
 
-from sphrom.case.checks import coarser_resolution
+from sphrom.case.discretization_checks import coarser_resolution
 from sphrom.case.loader import load_case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.studies import at_resolution

@@ -16,13 +16,13 @@ from sphrom.api.result import Labels, Result, Sensitivities, rows_of
 from sphrom.arguments import checked, finite_array
 from sphrom.arrays import Array
 from sphrom.artifacts.records.runs import ModelFile
-from sphrom.case.checks import steady_problem
 from sphrom.case.fields import LARGEST
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
+from sphrom.case.model_checks import steady_problem
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.plan_times import lengthened
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.models.contract import Ability, family_of

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from sphrom.case.checks import beyond_limits
 from sphrom.case.custom_sections import ShapedFluid
+from sphrom.case.discretization_checks import beyond_limits
+from sphrom.case.model_sections import AUTO
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
-from sphrom.case.sections import AUTO
 from sphrom.case.studies import Region, sweep_model, sweep_points
 from sphrom.metrics.series import shortest_period
 from sphrom.sph.fluid import ROUNDING

@@ -15,11 +15,11 @@ from pydantic import TypeAdapter, ValidationError
 from sphrom.case import schema
 from sphrom.case.checks import case_problems
 from sphrom.case.fields import Coordinate, Positive
+from sphrom.case.model_sections import ALL
 from sphrom.case.models import Case, moved
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.scenes import kind_of
 from sphrom.case.schema import MAX_PROBLEMS, problems_of
-from sphrom.case.sections import ALL
 from sphrom.case.studies import Region, trained_at
 from sphrom.case.yaml_reader import (
     MAX_DEPTH,

@@ -134,9 +134,10 @@ class FieldsMeasure(RecordedMeasure):
     """Whether it has a positive direction, to the right of its segment."""
 
     @property
-    @abstractmethod
     def ends(self) -> tuple[Place, Place]:
         """The ends of the segment [m]; the same place twice for a point."""
+        segment = getattr(self, MEASURES.kind_of(self))
+        return segment.start, segment.end
 
     @abstractmethod
     def fields(self, particle_spacing: float) -> FieldMeasure:
@@ -174,20 +175,13 @@ class FlowRateMeasure(FieldsMeasure):
 
     title: ClassVar[str] = "sections"
     is_flow: ClassVar[bool] = True
+    quantities: ClassVar[tuple[str, ...]] = ("flow_rate",)
 
     flow_rate: SegmentSection = key(
         ...,
         "segment: the flow rate through it, positive from its left to its right side; a segment "
         "that goes up counts flow along x as positive",
     )
-
-    @property
-    def ends(self) -> tuple[Place, Place]:
-        return self.flow_rate.start, self.flow_rate.end
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        return ("flow_rate",)
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
         return FlowRate(np.array(self.ends), particle_spacing)
@@ -197,18 +191,11 @@ class IntegralMeasure(FieldsMeasure):
     """The integrals of velocity and pressure along a segment."""
 
     title: ClassVar[str] = "integrals"
+    quantities: ClassVar[tuple[str, ...]] = ("velocity_integral", "pressure_integral")
 
     integral: SegmentSection = key(
         ..., "segment: the integrals of velocity and pressure along it, over its length"
     )
-
-    @property
-    def ends(self) -> tuple[Place, Place]:
-        return self.integral.start, self.integral.end
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        return ("velocity_integral", "pressure_integral")
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
         return Integral(np.array(self.ends), particle_spacing)
@@ -218,16 +205,13 @@ class ProbeMeasure(FieldsMeasure):
     """Velocity and pressure at a point."""
 
     title: ClassVar[str] = "probes"
+    quantities: ClassVar[tuple[str, ...]] = ("velocity", "pressure")
 
     probe: Place = key(..., "point: its velocity and pressure", unit="m")
 
     @property
     def ends(self) -> tuple[Place, Place]:
         return self.probe, self.probe
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        return ("velocity", "pressure")
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
         return FieldMeasure(np.array([self.probe]))
@@ -242,10 +226,6 @@ class LineMeasure(FieldsMeasure):
     title: ClassVar[str] = "lines"
 
     line: LineSection = key(..., "segment: velocity and pressure along it")
-
-    @property
-    def ends(self) -> tuple[Place, Place]:
-        return self.line.start, self.line.end
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
         return FieldMeasure.line(np.array(self.ends), self.line.points)
@@ -286,16 +266,14 @@ class SurfaceMeasure(RecordedMeasure):
 class ElevationMeasure(SurfaceMeasure):
     """The height of the free surface at a place."""
 
+    quantities: ClassVar[tuple[str, ...]] = ("elevation",)
+
     elevation: Coordinate = key(
         ...,
         "x of a vertical line: height y of the free surface of the fluid on the floor, without "
         "drops above it",
         unit="m",
     )
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        return ("elevation",)
 
     def of(self, fluid: FluidWithSurface) -> Quantities:
         return {"elevation": fluid.elevation_at(self.elevation)}

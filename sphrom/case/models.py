@@ -18,11 +18,11 @@ from pydantic import BaseModel, ValidationInfo, model_validator
 
 from sphrom.case.custom_sections import surface_defaults
 from sphrom.case.fields import SafeName, Section, key
+from sphrom.case.model_sections import AnyModel
 from sphrom.case.plan import Plan
 from sphrom.case.points import ParameterSection
 from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of, with_defaults
 from sphrom.case.sections import (
-    AnyModel,
     BasisSection,
     CompareSection,
     DiscretizationSection,

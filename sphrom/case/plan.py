@@ -13,9 +13,10 @@ from collections.abc import Iterable
 from functools import cached_property
 
 from sphrom.arrays import Array
+from sphrom.case.model_sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.plan_times import TimesPlan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
+from sphrom.case.sections import SubsetSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import midpoints
 from sphrom.reduction.stream_functions import StreamSpace

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ import numpy as np
 
 from sphrom.arrays import Array, Mask
 from sphrom.case.measure_sections import ForceMeasure, FrequencyMeasure
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.plan_flows import FlowsPlan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Oscillating, Oscillations, since
 from sphrom.metrics.series import settled_from

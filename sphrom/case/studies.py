@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.case.model_sections import LOCAL, ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, TrainValues
-from sphrom.case.sections import LOCAL, ReducedModelSection
 from sphrom.case.study_sections import FULL, N_CANDIDATES, OfRuns, percentage
 from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners

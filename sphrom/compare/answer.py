@@ -16,8 +16,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
-from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.comparison_tables import ErrorRow, EstimateRow, Tables
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
 from sphrom.compare.measured import MeasureRow, OscillationRow

@@ -6,9 +6,9 @@ from collections import defaultdict
 from dataclasses import replace
 from itertools import chain
 
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.basis_figures import spectrum_rows

@@ -16,8 +16,8 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts.records.comparison import Series
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Row, place_of
 from sphrom.case.study_sections import FULL
 from sphrom.compare.basis_figures import draw_modes, draw_spectrum, frame_of, model_sizes

@@ -13,9 +13,9 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, open_artifact
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.kernels import ask_for_threads, asked_for
 from sphrom.metrics.histories import compression_factors

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import place_of, rows_of
 from sphrom.case.study_sections import (
     ErrorFigure,

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.paraview import View, views
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.import_options import place
 from sphrom.models.stored_run import StoredRun

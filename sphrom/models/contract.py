@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from sphrom.arrays import Array
 from sphrom.case.hints import beyond_training, extrapolation
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import Quantities, Samples, shares

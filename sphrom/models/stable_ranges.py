@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.models.contract import basis_used, family_of
 from sphrom.plots.tables import format_figure, read_json
 from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA

@@ -10,8 +10,8 @@ import time
 
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records.runs import HistoryTable
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.models.contract import Ability, family_of
 from sphrom.setup.context import StageContext

@@ -15,8 +15,8 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import FULL
 from sphrom.metrics.measures import Quantities, Samples, with_coefficients
 from sphrom.metrics.series import kinetic_energy

@@ -12,9 +12,9 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.custom_sections import SurfaceForce
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
 from sphrom.metrics.series import hat
 from sphrom.reduction.correction import interpolation_weights

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from sphrom.artifacts import open_artifact
 from sphrom.case.fields import Section
 from sphrom.case.loader import case_of_text
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_section, sweep_model, sweep_name
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.setup.context import KnownArtifacts, StageContext

@@ -12,10 +12,10 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 
-from sphrom.case.checks import coarser_resolution
+from sphrom.case.discretization_checks import coarser_resolution
+from sphrom.case.model_sections import ALL, LOCAL, MODELS, ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, TestValues
-from sphrom.case.sections import ALL, LOCAL, MODELS, ReducedModelSection
 from sphrom.case.studies import at_resolution, changed, values_at
 from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, TrainingSection
 from sphrom.errors import CaseError, UnstableError

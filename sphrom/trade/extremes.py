@@ -19,9 +19,9 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.checks import case_problems
+from sphrom.case.model_sections import PointModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
-from sphrom.case.sections import PointModelSection
 from sphrom.case.studies import changed
 from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.metrics.measures import Samples

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.case.checks import coarser_resolution
+from sphrom.case.discretization_checks import coarser_resolution
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import changed
 from sphrom.errors import CaseError, ResourceError

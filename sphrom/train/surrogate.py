@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from sphrom.arrays import Array, Mask
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import since

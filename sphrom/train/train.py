@@ -13,9 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from sphrom.case.checks import case_problems
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case, resolved_yaml
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region, changed, fast_section, percent, trained_at
 from sphrom.case.study_sections import TrainingSection, percentage
 from sphrom.errors import CaseError, UnstableError

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from sphrom.case.checks import nearest_fitting_resolution
+from sphrom.case.discretization_checks import nearest_fitting_resolution
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from sphrom.case.checks import coarser_resolution
+from sphrom.case.discretization_checks import coarser_resolution
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, fast_section, fit_ranges, fit_values, percent, trained_at

@@ -9,9 +9,9 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from sphrom.case.model_sections import PointModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import PointModelSection
 from sphrom.errors import CaseError
 from sphrom.models.points.basis_model import steps_of
 from sphrom.models.points.fast_model import FastRun

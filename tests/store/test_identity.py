@@ -8,16 +8,15 @@ from typing import Annotated, Any
 import pytest
 
 from sphrom.case.fields import Section, key
-from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import (
-    DiscretizationSection,
+from sphrom.case.model_sections import (
     ParticleModelSection,
     PointModelSection,
     ReducedModels,
     ReducedModelSection,
-    SplineSection,
 )
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import DiscretizationSection, SplineSection
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Target, Workspace
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sphrom.case.checks import case_problems
+from sphrom.case.model_sections import PointModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS
-from sphrom.case.sections import PointModelSection
 from sphrom.models.stable_ranges import MEMORY, STEP, TIME, StableRange
 from sphrom.plots.panels import save
 from sphrom.reduction.polynomial_model import OutputTimes

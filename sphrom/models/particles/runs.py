@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.models.reference.stored import read_modes, read_points
 from sphrom.models.stable_ranges import against

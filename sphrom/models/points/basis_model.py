@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.plan_times import MAX_STEPS
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities, Samples, with_coefficients
 from sphrom.models.points.stored import Fields, snapshot_times

@@ -17,8 +17,8 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts.records.reduced_models import TrainedModel
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
 from sphrom.models.contract import Model, ModelRun

@@ -22,9 +22,9 @@ from sphrom.artifacts.records.reduced_models import (
     TrainedMeasure,
     WallForce,
 )
+from sphrom.case.model_sections import AUTO
 from sphrom.case.plan import LEAST_SNAPSHOTS
 from sphrom.case.plan_times import MAX_STEPS
-from sphrom.case.sections import AUTO
 from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
 from sphrom.models.points.stored import (

@@ -17,8 +17,8 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.runs import Converged, Steady
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.machine import seconds_of
 from sphrom.metrics.measures import Quantities, Samples
 from sphrom.metrics.quantities import MEASURABLE, components

@@ -14,9 +14,9 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import read_record
 from sphrom.artifacts.records.reduced_models import BasisOperators, Starts, TrainedModel
+from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.metrics.measures import Quantities, with_coefficients
 from sphrom.models.reference.stored import mapped_runs, read_points
 from sphrom.models.starts import RunStarts, start

@@ -15,7 +15,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.artifacts.records.reduced_models import TrainedModel
-from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import COEFFICIENT

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from sphrom.artifacts import Artifact
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import Probes, Samples
 from sphrom.models.contract import (
     ALONE,

@@ -12,8 +12,8 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts.records.runs import TrainedSurfaceModel
 from sphrom.case.measure_sections import ForceMeasure, RecordedMeasure, SurfaceMeasure
+from sphrom.case.model_sections import ALL, ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, with_coefficients
 from sphrom.models.contract import (
     N_TIMED,

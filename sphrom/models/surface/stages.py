@@ -19,8 +19,8 @@ from sphrom.artifacts.records.runs import (
     SurfaceStarts,
     TrainedSurfaceModel,
 )
+from sphrom.case.model_sections import ALL, AUTO, ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.errors import CaseError, SphromError, UnstableError
 from sphrom.metrics.histories import energy
 from sphrom.models.surface.stored import elevation_of, read_surface_basis

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from sphrom.arrays import Array
 from sphrom.artifacts import read_record
 from sphrom.artifacts.records.runs import SurfaceModels
+from sphrom.case.model_sections import ALL, AUTO, ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.metrics.elevation import find_elevation
 from sphrom.models.contract import SURFACE, Measured
 from sphrom.reduction.stream_functions import StreamSpace
