@@ -26,7 +26,7 @@ from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import ROUNDING, Discretization, Fluid, Resistance, step_limits, volume_of
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
-from sphrom.sph.walls import GhostParticles, WallTerms
+from sphrom.sph.walls.rule import WallTerms
 
 BodyForce = Callable[[Array, float], Array]
 """The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
@@ -83,9 +83,10 @@ class Functional:
         fluid = self.fluid
         discretization = self.discretization
         domain = self.domain
+        rule = discretization.walls.rule
         self.ghosts = None
         if self.walls is not None:
-            self.ghosts = GhostParticles(self.walls, domain, fluid, discretization)
+            self.ghosts = rule(self.walls, domain, fluid, discretization)
         self.mass = fluid.reference_density * discretization.particle_spacing**2
         length = discretization.smoothing_length
         laplacian = discretization.viscosity == "laplacian"
@@ -105,7 +106,7 @@ class Functional:
             as_printed=1.0 if discretization.shifting_as_printed else 0.0,
             limit=0.5 * fluid.max_speed,
             damping=damping * fluid.reference_density,
-            walls_return=1.0 if discretization.wall_continuity == "adjoint" else 0.0,
+            walls_return=rule.returns_flux,
         )
         self._n_fields = fields.n_fields(self._fluid_constants)
         self.neighbourhood = Neighbourhood(domain, discretization, self._n_fields)

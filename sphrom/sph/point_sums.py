@@ -20,7 +20,6 @@ from sphrom.kernels.wendland import LAPLACIAN_SHAPE, weigh
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import periodic_images
-from sphrom.sph.walls import NEAREST, ghost_depths
 
 Matrix = Any
 """A sparse matrix in compressed rows."""
@@ -151,13 +150,24 @@ def fluid_sums(position: Array, domain: Domain, discretization: Discretization) 
 
 
 def ghost_sums(
-    position: Array, walls: Walls, domain: Domain, discretization: Discretization
+    position: Array,
+    walls: Walls,
+    domain: Domain,
+    discretization: Discretization,
+    depth: Array | float,
+    nearest: float,
 ) -> GhostSums:
-    """Return the sums between points (n_points, 2) [m] and the ghosts of walls."""
+    """Return the sums between points (n_points, 2) [m] and the ghosts of walls.
+
+    Parameters
+    ----------
+    depth : of ghosts (n_ghosts,) [m], for the extrapolation of velocities.
+    nearest : the least distance of points from walls, over the spacing, for the same.
+    """
     blocks, moments = [], []
-    nearest = NEAREST * discretization.particle_spacing
-    distance = np.maximum(domain.wall_distance(position), nearest)
-    depth = ghost_depths(domain, walls.position, discretization)
+    depth = np.broadcast_to(depth, len(walls.position))
+    least = nearest * discretization.particle_spacing
+    distance = np.maximum(domain.wall_distance(position), least)
     for pairs in _pair_blocks(position, walls.position, domain, discretization):
         x, y = pairs.offset
         stretch = 1.0 + depth[pairs.column] / distance[pairs.first + pairs.row]
