@@ -103,13 +103,13 @@ class WallSection(Section):
         if not isinstance(values, Mapping) or values.keys().isdisjoint(earlier):
             return values
         given = dict(values)
-        # A key that is given changes one of those that the kind stands for.
+        # A given key changes one of the two that the kind stands for.
         usual = EARLIER_KEYS.get(str(given.pop("kind", "adjoint")), ("", ""))
         wanted = tuple(map(given.pop, earlier, usual))
         for kind, meant in EARLIER_KEYS.items():
             if meant == wanted:
                 return {**given, "kind": kind}
-        reason = "no_slip: {} and continuity: {} are of no rule of walls".format(*wanted)
+        reason = "no rule of walls has no_slip: {} with continuity: {}".format(*wanted)
         raise ValueError(f"{reason}; set kind to one of {', '.join(KINDS)}")
 
 
