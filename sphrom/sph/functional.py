@@ -244,7 +244,7 @@ class Functional:
             return None, force
         near = self.neighbourhood
         speed = 1.0 if self.wall_speed is None else self.wall_speed(time)
-        return self.ghosts.beside(near.sources, source, near.reach, force, speed), force
+        return self.ghosts.beside(near.sources, source, near.search, force, speed), force
 
     def advection(
         self, position: Array, density_fluctuation: Array, velocity: Array, time: float = 0.0

@@ -57,8 +57,6 @@ class GhostSums:
     """(2, n_points)."""
     friction: Matrix
     """The factor times the weight of the Laplacian and the stretch of extrapolated velocities."""
-    friction_sum: Array
-    """(n_points,) [1/m2]."""
     moment: Array
     """(n_points,) the second moment of the friction, without extrapolation."""
     mean: Matrix
@@ -150,24 +148,14 @@ def fluid_sums(position: Array, domain: Domain, discretization: Discretization) 
 
 
 def ghost_sums(
-    position: Array,
-    walls: Walls,
-    domain: Domain,
-    discretization: Discretization,
-    depth: Array | float,
-    nearest: float,
+    position: Array, walls: Walls, domain: Domain, discretization: Discretization
 ) -> GhostSums:
-    """Return the sums between points (n_points, 2) [m] and the ghosts of walls.
-
-    Parameters
-    ----------
-    depth : of ghosts (n_ghosts,) [m], for the extrapolation of velocities.
-    nearest : the least distance of points from walls, over the spacing, for the same.
-    """
+    """Return the sums between points (n_points, 2) [m] and the ghosts of walls."""
     blocks, moments = [], []
-    depth = np.broadcast_to(depth, len(walls.position))
-    least = nearest * discretization.particle_spacing
-    distance = np.maximum(domain.wall_distance(position), least)
+    rule = discretization.walls.rule
+    nearest = rule.nearest * discretization.particle_spacing
+    distance = np.maximum(domain.wall_distance(position), nearest)
+    depth = rule.depths(domain, walls.position, discretization)
     for pairs in _pair_blocks(position, walls.position, domain, discretization):
         x, y = pairs.offset
         stretch = 1.0 + depth[pairs.column] / distance[pairs.first + pairs.row]
@@ -184,7 +172,6 @@ def ghost_sums(
         gradient=(gradient_x, gradient_y),
         support=np.stack((row_sums(gradient_x), row_sums(gradient_y))),
         friction=friction,
-        friction_sum=row_sums(friction),
         moment=np.concatenate(moments),
         mean=mean,
         head=(mean_x, mean_y),

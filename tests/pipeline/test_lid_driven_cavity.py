@@ -115,7 +115,8 @@ def test_local_bases_are_those_of_the_intervals(copied, sphrom, digests):
 @pytest.mark.parametrize(
     "changes",
     [
-        ("discretization.walls.kind=printed", "discretization.walls.layers=3", "discretization.viscosity=paper",
+        ("discretization.walls.kind=printed", "discretization.walls.layers=3",
+         "discretization.viscosity=paper",
          "discretization.fixed_volume=false", "discretization.shifting.form=paper",
          "discretization.shifting.transport=paper", "reference.method=shepard",
          "basis.inner_product=raw", "basis.mean_density=in-modes", "psi.polynomial_degree=1",

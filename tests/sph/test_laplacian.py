@@ -9,7 +9,6 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import REAL_AXIS_LIMIT, Discretization, Fluid, step_limits
-from sphrom.sph.functional import Functional
 from sphrom.sph.polygons import jutting_corners
 
 FLUID = Fluid(reference_density=1.0, sound_speed=10.0, kinematic_viscosity=1.0, max_speed=1.0)

@@ -9,6 +9,7 @@ continuity equation; it may replace any other method of `WallRule`, too.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -82,10 +83,13 @@ class WallRule(ABC):
         near = sort_sources(lattice, domain, reach, spacing)
         source = np.zeros((fields.N_FIELDS, near.particle.size))
         gather(near.particle, near.image, lattice, fields.X, source)
+        return self._means(source, near.search(reach, self.discretization.smoothing_length))[3]
+
+    def _means(self, source: Array, search: Search) -> Array:
+        """Return the rows (5, n_ghosts) of `ghost_fields.ghost_means`."""
         means = np.empty((5, self._position.shape[1]))
-        search = near.search(reach, self.discretization.smoothing_length)
         ghost_fields.ghost_means(self._position, source, search, means)
-        return means[3]
+        return means
 
     def _below_surface(self, weights: Array, depth: Array) -> Array:
         """Return the share (n_ghosts,) of each ghost's cell that is below the free surface.
@@ -115,7 +119,7 @@ class WallRule(ABC):
         self,
         sources: Sources,
         source: Array,
-        reach: float,
+        search: Search,
         body_force: Array | None,
         wall_speed: float | Array = 1.0,
     ) -> WallTerms:
@@ -124,14 +128,11 @@ class WallRule(ABC):
         Parameters
         ----------
         sources, source : of the fluid, with fields laid out as in `sphrom.kernels.fields`.
-        reach : search radius for the fluid [m].
+        search : with which ghosts search the fluid.
         body_force : (2, n_particles) [m/s2], or None.
         wall_speed : factor of the walls' velocity, or one for each ghost (n_ghosts,).
         """
-        search = sources.search(reach, self.discretization.smoothing_length)
-        means = np.empty((5, self._position.shape[1]))
-        ghost_fields.ghost_means(self._position, source, search, means)
-        fluctuation, u, v, weights, flux = means
+        fluctuation, u, v, weights, flux = self._means(source, search)
         share: Array | float = 1.0
         if body_force is not None:
             density = self.fluid.reference_density + source[fields.DENSITY]
@@ -214,8 +215,7 @@ class WallRule(ABC):
         """Return the matrices between fixed points (n_points, 2) [m] and the ghosts of walls."""
         from sphrom.sph.point_sums import ghost_sums  # importing scipy.sparse takes long
 
-        depth = cls.depths(domain, walls.position, discretization)
-        return ghost_sums(position, walls, domain, discretization, depth, cls.nearest)
+        return ghost_sums(position, walls, domain, discretization)
 
     def gathered(self, ghost: Array) -> Array:
         """Return fields (n_fields, n_ghosts) as sources, including periodic images."""
@@ -225,90 +225,82 @@ class WallRule(ABC):
         return source
 
 
+@dataclass(eq=False)
 class WallTerms:
-    """The contributions of ghosts to the sums of particles near walls.
+    """The contributions of ghosts to the sums of particles near walls."""
 
-    Parameters
-    ----------
-    sources, source : of the fluid.
-    ghost : (n_fields, n_ghosts) the fields of ghosts.
-    weights : (n_ghosts,) the sum of the kernel at ghosts [1/m2].
-    search : with which ghosts search the fluid.
-    """
+    ghosts: WallRule
+    sources: Sources
+    source: Array
+    """The fields of the fluid's sources."""
+    ghost: Array
+    """(n_fields, n_ghosts) the fields of ghosts."""
+    weights: Array
+    """(n_ghosts,) the sum of the kernel at ghosts [1/m2]."""
+    search: Search
+    """With which ghosts search the fluid."""
 
-    def __init__(
-        self,
-        ghosts: WallRule,
-        sources: Sources,
-        source: Array,
-        ghost: Array,
-        weights: Array,
-        search: Search,
-    ) -> None:
-        self._ghosts = ghosts
-        self._sources = sources
-        self._source = source
-        self._ghost = ghost
-        self._weights = weights
-        self._fluid_search = search
-        self._gathered = ghosts.gathered(ghost)
+    def __post_init__(self) -> None:
+        ghosts = self.ghosts
+        sources = self.sources
+        self._gathered = ghosts.gathered(self.ghost)
         discretization = ghosts.discretization
-        distance = ghosts.search_walls.distances(sources.targets, source)
+        distance = ghosts.search_walls.distances(sources.targets, self.source)
         near = distance < discretization.support_radius
         self._distance = np.maximum(distance, ghosts.nearest * discretization.particle_spacing)
         self._beside = fields.BesideWalls(
-            sources.particle, sources.targets[near], source, self._distance[near]
+            sources.particle, sources.targets[near], self.source, self._distance[near]
         )
 
     def regularity(self, constants: RegularityConstants) -> Array:
         """Return the sums (6, n_particles) over ghosts that `sweeps.regularity` includes."""
-        out = np.zeros((6, self._sources.targets.size))
-        search = self._ghosts.search
+        out = np.zeros((6, self.sources.targets.size))
+        search = self.ghosts.search
         wall_sweeps.wall_regularity(self._beside, self._gathered, search, constants, out)
         return out
 
     def damp(self, pressure: Array) -> None:
         """Set the damper's pressure of ghosts, given that of the fluid's sources (n_sources,)."""
-        ghost = self._ghost
-        damping = pressure - self._source[fields.DENSITY]
+        ghost = self.ghost
+        damping = pressure - self.source[fields.DENSITY]
         ghost_fields.ghost_damping(
             ghost[:2],
-            self._source,
+            self.source,
             damping,
-            self._weights,
-            self._fluid_search,
+            self.weights,
+            self.search,
             ghost[fields.PRESSURE],
         )
-        self._gathered = self._ghosts.gathered(ghost)
+        self._gathered = self.ghosts.gathered(ghost)
 
     def hold_back(self, shifting_velocity: Array, against: float = 1.0) -> None:
         """Limit shifting velocities (2, n_particles), so that no particle crosses a wall.
 
         With `against` = 0, only so that none pushes into a wall.
         """
-        search = self._ghosts.search_walls
-        spacing = self._ghosts.discretization.particle_spacing
-        limits = Limits(CLOSEST * spacing, TOUCHING * spacing, FELT * spacing, against)
-        if not self._ghosts.discretization.shifting:
-            limits = limits._replace(closest=0.5 * CLOSEST * spacing, touching=CLOSEST * spacing)
+        search = self.ghosts.search_walls
+        spacing = self.ghosts.discretization.particle_spacing
+        # Only shifting moves particles away from walls again.
+        least = spacing if self.ghosts.discretization.shifting else 0.5 * spacing
+        limits = Limits(CLOSEST * least, TOUCHING * least, FELT * spacing, against)
         search.kernels.hold_back(self._beside, *search.lists, limits, shifting_velocity)
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
         """Add the ghosts' contribution to the acceleration (2, n_particles)."""
-        search = self._ghosts.search
+        search = self.ghosts.search
         wall_sweeps.wall_rates(self._beside, self._gathered, search, regular, fluid, out)
 
     def forces(self, fluid: FluidConstants) -> Array:
         """Return the pressure and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
 
-        `self._source` must contain the pressure and the Laplacian's factor.
+        `self.source` must contain the pressure and the Laplacian's factor.
         """
-        particle = self._sources.particle
+        particle = self.sources.particle
         distance = np.empty(self._distance.size)
-        distance[particle[self._sources.targets]] = self._distance
-        out = np.empty((4, self._ghost.shape[1]))
+        distance[particle[self.sources.targets]] = self._distance
+        out = np.empty((4, self.ghost.shape[1]))
         wall_sweeps.ghost_forces(
-            self._ghost, self._source, distance[particle], self._fluid_search, fluid, out
+            self.ghost, self.source, distance[particle], self.search, fluid, out
         )
         return out.reshape(2, 2, -1)
 
@@ -318,9 +310,9 @@ class WallTerms:
         advection.transport(
             self._beside,
             self._gathered,
-            self._ghosts.search,
+            self.ghosts.search,
             self._gathered[fields.DEPTH],
-            self._ghosts.fluid.reference_density,
+            self.ghosts.fluid.reference_density,
             part,
         )
         out += part
