@@ -83,9 +83,9 @@ class WallRule(ABC):
         near = sort_sources(lattice, domain, reach, spacing)
         source = np.zeros((fields.N_FIELDS, near.particle.size))
         gather(near.particle, near.image, lattice, fields.X, source)
-        return self._means(source, near.search(reach, self.discretization.smoothing_length))[3]
+        return self.interpolated(source, near.search(reach, self.discretization.smoothing_length))[3]
 
-    def _means(self, source: Array, search: Search) -> Array:
+    def interpolated(self, source: Array, search: Search) -> Array:
         """Return the rows (5, n_ghosts) of `ghost_fields.ghost_means`."""
         means = np.empty((5, self._position.shape[1]))
         ghost_fields.ghost_means(self._position, source, search, means)
@@ -132,7 +132,7 @@ class WallRule(ABC):
         body_force : (2, n_particles) [m/s2], or None.
         wall_speed : factor of the walls' velocity, or one for each ghost (n_ghosts,).
         """
-        fluctuation, u, v, weights, flux = self._means(source, search)
+        fluctuation, u, v, weights, flux = self.interpolated(source, search)
         share: Array | float = 1.0
         if body_force is not None:
             density = self.fluid.reference_density + source[fields.DENSITY]
