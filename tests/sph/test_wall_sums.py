@@ -24,11 +24,7 @@ def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
 
 OPTIONS = {
     "default": {"acoustic_damping": 1.0, "fixed_volume": True},
-    "normal": {
-        "wall_kind": "normal",
-        "shifting_transport": "paper",
-        "acoustic_damping": 0.7,
-    },
+    "normal": {"wall_kind": "normal", "shifting_transport": "paper", "acoustic_damping": 0.7},
     "printed-normal": {"wall_kind": "printed-normal"},
     "adami-as-fluid": {"wall_kind": "adami-as-fluid", "acoustic_damping": 0.7},
     "adami": {"wall_kind": "adami", "acoustic_damping": 1.0},

@@ -83,7 +83,9 @@ class WallRule(ABC):
         near = sort_sources(lattice, domain, reach, spacing)
         source = np.zeros((fields.N_FIELDS, near.particle.size))
         gather(near.particle, near.image, lattice, fields.X, source)
-        return self.interpolated(source, near.search(reach, self.discretization.smoothing_length))[3]
+        return self.interpolated(source, near.search(reach, self.discretization.smoothing_length))[
+            3
+        ]
 
     def interpolated(self, source: Array, search: Search) -> Array:
         """Return the rows (5, n_ghosts) of `ghost_fields.ghost_means`."""
