@@ -83,6 +83,21 @@ def check_surface(driving: Driving) -> None:
         raise ValueError(f"fluid.level: must be above {low:g} and below {high:g}; got {level:g}")
 
 
+def largest_rate(scene: CustomScene) -> float:
+    """Return the largest rate of linear terms [1/s]. Raises ValueError for impossible terms."""
+    largest = 0.0
+    places = scene.places.all
+    for name, term in scene.added.items():
+        try:
+            matrices = term.matrices(places)
+            values = term(places, np.ones_like(places.T), 0.0)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"terms.{name}: {error}") from error
+        require_finite(f"terms.{name}", values.T, places)
+        largest += float(np.linalg.norm(matrices, axis=(0, 1)).max())
+    return largest
+
+
 def parameter_problems(scene: CustomScene, names: Collection[str]) -> Found:
     """Yield constants in which walls or the force aren't affine, and ambiguous names."""
     driving = scene.at()
@@ -92,7 +107,8 @@ def parameter_problems(scene: CustomScene, names: Collection[str]) -> Found:
         yield name, "resistance depends on it, which no parameter changes"
     for key, timed in driving.timed():
         for name in varied:
-            if any(time.degree_in([name]) > 0.0 for _, time in timed.read()):
+            read = (time for called, time in timed.read() if called in scene.histories)
+            if any(time.degree_in([name]) > 0.0 for time in read):
                 yield name, f"{key} reads a history at times that depend on it"
     for name in varied:
         if name in (*scene.walls, BODY_FORCE, INFLOW):
@@ -119,6 +135,8 @@ def unknown_times(scene: CustomScene, final_time: float) -> Found:
     times = np.linspace(0.0, final_time, N_CHECKED)
     for key, expression in scene.at().timed():
         for name, time in expression.read():
+            if name not in scene.histories:
+                continue
             if (problem := scene.histories[name].lacks(time(t=times))) is not None:
                 yield key, f"{name}: {problem}"
                 return

@@ -71,7 +71,7 @@ class Driving:
         scene = self.scene
         constants = {name: self.values.get(name, usual) for name, usual in scene.constants.items()}
         try:
-            expression = Expression(text, variables, constants, scene.histories)
+            expression = Expression(text, variables, constants, scene.called)
             # Except a force beside a surface, expressions in t are split into factors.
             split = "t" in variables and not (scene.has_surface and key == BODY_FORCE)
             for part in expression.separated("t") if split else (expression,):

@@ -115,6 +115,14 @@ def check_fixed_points(case: Case) -> Found:
         if name is not None and value != needed:
             reason = f"must be {needed} for models with evaluation: operators, such as {name}"
             yield f"discretization.{key}", f"{reason}; got {value}"
+    for label, term in case.scene.added.items() if name is not None else ():
+        reason = f"models with evaluation: operators, such as {name}"
+        if term.acceleration is not None:
+            remedy = "give a linear or quadratic one, or set rom: []"
+            yield f"scene.terms.{label}", f"its acceleration is any function, unlike {reason}; {remedy}"
+        if case.scene.measured_walls:
+            remedy = "leave force_on out, or set rom: []"
+            yield f"scene.terms.{label}", f"has no share in the forces on walls of {reason}; {remedy}"
     amplitudes = case.scene.amplitudes
     if name is not None and len(set(amplitudes.values())) > 1:
         found = " and ".join(f"{text} of {key}" for key, text in amplitudes.items())
@@ -134,6 +142,8 @@ def check_surface(case: Case) -> Found:
         yield "scene", f"{reason} {whole}; set rom: []"
     if scene.largest_resistance(1.0):
         yield "scene.resistance", f"{plain} {reason}; leave it out"
+    if scene.added:
+        yield "scene.terms", f"{plain} {reason}; set rom: []"
     if not scene.gravity > 0.0:
         yield "scene.fluid.gravity", f"must be above zero for {reason}; got 0"
     for point in () if case.time.spin_up else case.plan.points:

@@ -35,8 +35,8 @@ MOST_COMPILED = 1000
 MOST_INPUTS = 30
 """Most variables and calls of those functions that numexpr can take."""
 CONSTANTS = {"pi": math.pi}
-History = Callable[[Array], Array]
-"""Values at times [s]."""
+History = Callable[..., Array]
+"""Values at times [s], or of other arguments."""
 Given = Mapping[str, Array | float]
 """Values of variables."""
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
@@ -51,7 +51,8 @@ class Expression:
     text : the expression.
     variables : names whose values each evaluation passes.
     constants : values of further names.
-    histories : functions of the time t, by their names.
+    histories : functions of the time t, by their names; if they have an attribute `arguments`,
+        functions of arguments of these names.
 
     Attributes
     ----------
@@ -84,7 +85,7 @@ class Expression:
         parts = [self._like(ast.unparse(part)) for part in node.args]
         _ = [part.compiled if part.depends_on else part._fixed for part in parts]
         if name in self._histories:
-            return lambda given: self._histories[name](parts[0]._of(given))
+            return lambda given: self._histories[name](*[part._of(given) for part in parts])
         if name != "interp":
             chosen = np.minimum if name == "min" else np.maximum
             return lambda given: reduce(chosen, [part._of(given) for part in parts])
@@ -294,7 +295,7 @@ def _short(node: ast.expr) -> str:
     return shortened(ast.unparse(node), MOST_QUOTED)
 
 
-def _check(whole: ast.expr, known: tuple[str, ...], histories: Collection[str]) -> None:
+def _check(whole: ast.expr, known: tuple[str, ...], histories: Mapping[str, History]) -> None:
     """Raise ValueError unless an expression has only numbers, known names and functions."""
     parts = [whole]
     for node in parts:  # the list grows during the loop
@@ -306,7 +307,9 @@ def _check(whole: ast.expr, known: tuple[str, ...], histories: Collection[str]) 
             parts.append(node.operand)
         elif isinstance(node, ast.Name):
             if node.id in histories:
-                raise ValueError(f"{node.id} is a history; write {node.id}(t)")
+                names = ", ".join(_arguments_of(histories[node.id])) or "t"
+                kind = "history" if names == "t" else "function"
+                raise ValueError(f"{node.id} is a {kind}; write {node.id}({names})")
             if node.id not in known:
                 raise ValueError(f"{_short(node)} is not a known name; use {', '.join(known)}")
         elif not (isinstance(node, ast.Constant) and type(node.value) in (int, float)):
@@ -318,10 +321,19 @@ def _check(whole: ast.expr, known: tuple[str, ...], histories: Collection[str]) 
             raise ValueError(f"{_short(node)} is too large")
 
 
-def _arguments(node: ast.Call, histories: Collection[str]) -> list[ast.expr]:
+def _arguments_of(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the names of a function's arguments; none for a history."""
+    return getattr(function, "arguments", ())
+
+
+def _arguments(node: ast.Call, histories: Mapping[str, History]) -> list[ast.expr]:
     """Return the arguments of a call; a condition is replaced by its two sides."""
     name = _name(node)
     number = len(node.args)
+    if name in histories and (names := _arguments_of(histories[name])):
+        if number != len(names):
+            raise ValueError(f"{name} takes {', '.join(names)}; got {number} arguments")
+        return node.args
     if name in histories:
         used = _names(node)
         if number != 1 or "t" not in used or used & {"x", "y"}:
