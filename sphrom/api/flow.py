@@ -8,8 +8,9 @@ from functools import wraps
 from typing import Any
 
 from sphrom.arguments import checked
-from sphrom.case.functions import FunctionSection, TermSection
+from sphrom.case.functions import remember
 from sphrom.errors import CaseError
+from sphrom.scenes.expressions import Function
 from sphrom.signals import guarded
 from sphrom.sph.terms import Term
 
@@ -56,19 +57,20 @@ class Flow(Mapping[str, Any]):
             return [self._plain(one, (*path, str(n))) for n, one in enumerate(value)]
         try:
             if isinstance(value, Term):
-                return TermSection.keys_of(value)
+                return {kind: remember(one) for kind, one in vars(value).items() if one}
             if not callable(value):
                 return value
             if path[-1] in VECTORS:
                 return [self._plain(_component(value, n), (*path, "xy"[n])) for n in range(2)]
-            keys = FunctionSection.keys_of(value)
+            digest = remember(value)
+            arguments = Function(value).arguments
         except ValueError as error:
             raise CaseError(f"{'.'.join(path)}: {error}") from error
         if path[0] == "functions":
-            return keys
+            return digest
         name = re.sub(r"\W", "_", "_".join(path))
-        self._functions[name] = keys
-        return f"{name}({', '.join(keys['arguments'])})"
+        self._functions[name] = digest
+        return f"{name}({', '.join(arguments)})"
 
     def __getitem__(self, name: str) -> Any:
         return self._scene[name]

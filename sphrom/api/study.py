@@ -65,7 +65,9 @@ class Study:
     ) -> None:
         self._context = stages.context_of(
             load_case(
-                {"name": "flow", "scene": case} if isinstance(case, Flow) else case, {**({} if set is None else set), **keys}, force
+                {"name": "flow", "scene": case} if isinstance(case, Flow) else case,
+                {**({} if set is None else set), **keys},
+                force,
             ),
             Reporter(quiet=quiet, write=report),
             out=None if out is None else Path(out),

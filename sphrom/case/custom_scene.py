@@ -33,14 +33,14 @@ from sphrom.case.driving import (
     at_places,
 )
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
-from sphrom.case.functions import FunctionSection, TermSection
+from sphrom.case.functions import Digest, function_of
 from sphrom.case.measure_sections import MEASURE, Measures
 from sphrom.case.points import REYNOLDS
 from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection, Settings
 from sphrom.case.shapes import Shape, ShapeSection
 from sphrom.case.slowing import Slowing
 from sphrom.case.tables import HistorySection, InitialSection
-from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS, History
+from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS, Function, History
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
@@ -110,11 +110,11 @@ class CustomScene(SceneSection):
     histories: dict[SafeName, HistorySection] = key(
         {}, "measured histories, by name; for one named sway, expressions in t may contain sway(t)"
     )
-    functions: dict[SafeName, FunctionSection] = key(
-        {}, "functions of Python that expressions may call, which only sphrom.Flow gives"
+    functions: dict[SafeName, Digest] = key(
+        {}, "digests of functions that expressions may call, which only sphrom.Flow gives"
     )
-    terms: dict[SafeName, TermSection] = key(
-        {}, "terms of the acceleration, functions of Python, which only sphrom.Flow gives"
+    terms: dict[SafeName, dict[Literal["linear", "quadratic", "acceleration"], Digest]] = key(
+        {}, "digests of terms of the acceleration by kind, which only sphrom.Flow gives"
     )
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
@@ -233,13 +233,17 @@ class CustomScene(SceneSection):
         return self.fluid.fill(self.domain, particle_spacing, self.level_at(values))
 
     @property
-    def called(self) -> dict[str, History]:
+    def called(self) -> dict[str, History | Function]:
         """Histories and functions that expressions may call, by name."""
-        return {**self.histories, **self.functions}
+        functions = {name: Function(function_of(one)) for name, one in self.functions.items()}
+        return {**self.histories, **functions}
 
     @property
     def added(self) -> dict[str, Term]:
-        return {name: section.term for name, section in self.terms.items()}
+        return {
+            name: Term(**{kind: function_of(one) for kind, one in functions.items()})
+            for name, functions in self.terms.items()
+        }
 
     @property
     def has_functions(self) -> bool:
@@ -247,6 +251,7 @@ class CustomScene(SceneSection):
 
     @cached_property
     def term_rate(self) -> float:
+        """The largest rate of linear terms [1/s]."""
         return custom_checks.largest_rate(self)
 
     @cached_property
@@ -407,7 +412,7 @@ class CustomScene(SceneSection):
         return Slowing(self, _geometries("porous", self.porous))
 
     def largest_resistance(self, viscosity: float) -> float:
-        return self.slowing.largest(viscosity)
+        return self.slowing.largest(viscosity) + self.term_rate
 
     @property
     def porous_way(self) -> float:

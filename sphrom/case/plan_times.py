@@ -41,7 +41,7 @@ class TimesPlan(FlowsPlan):
         """Return the largest stable time steps at a parameter point."""
         scene = self.scene
         sharpness = self._sharpest_corner
-        slowing = scene.largest_resistance(self.kinematic_viscosity(point)) + scene.term_rate
+        slowing = scene.largest_resistance(self.kinematic_viscosity(point))
         return fluid.step_limits(
             self.fluid(point), self.discretization, scene.domain.has_walls, sharpness, slowing
         )

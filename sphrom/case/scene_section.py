@@ -112,7 +112,7 @@ class SceneSection(Section):
         return 0.0
 
     def largest_resistance(self, viscosity: float) -> float:
-        """Return the largest rate of resistance [1/s], at a viscosity [m2/s]."""
+        """Return the largest rate of resistance and linear terms [1/s], at a viscosity [m2/s]."""
         return 0.0
 
     @property
@@ -124,11 +124,6 @@ class SceneSection(Section):
     def has_functions(self) -> bool:
         """Whether the scene has functions of Python, which other processes don't have."""
         return False
-
-    @property
-    def term_rate(self) -> float:
-        """The largest rate of their linear parts [1/s]."""
-        return 0.0
 
     @property
     def has_surface(self) -> bool:

@@ -10,7 +10,9 @@ import itertools
 import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property, lru_cache, reduce
+from inspect import signature
 from types import MappingProxyType
 from typing import Any
 
@@ -35,12 +37,34 @@ MOST_COMPILED = 1000
 MOST_INPUTS = 30
 """Most variables and calls of those functions that numexpr can take."""
 CONSTANTS = {"pi": math.pi}
-History = Callable[..., Array]
-"""Values at times [s], or of other arguments."""
+History = Callable[[Array], Array]
+"""Values at times [s]."""
+Histories = Mapping[str, "History | Function"]
 Given = Mapping[str, Array | float]
 """Values of variables."""
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function of Python, and the names of its arguments without a default."""
+
+    call: Callable[..., Any]
+
+    @property
+    def arguments(self) -> list[str]:
+        """The names of its arguments that have no default."""
+        given = signature(self.call).parameters.values()
+        return [one.name for one in given if one.default is one.empty]
+
+    def __call__(self, *values: Array) -> Array:
+        """Return its values in the shape of the arguments. Raises ValueError for another one."""
+        shape = np.broadcast_shapes(*(np.shape(value) for value in values))
+        found = np.asarray(self.call(*values), dtype=np.float64)
+        if found.shape not in ((), shape):
+            raise ValueError(f"must return values of the shape {shape}; got {found.shape}")
+        return np.broadcast_to(found, shape)
 
 
 class Expression:
@@ -51,8 +75,7 @@ class Expression:
     text : the expression.
     variables : names whose values each evaluation passes.
     constants : values of further names.
-    histories : functions of the time t, by their names; if they have an attribute `arguments`,
-        functions of arguments of these names.
+    histories : functions of the time t, and functions of other arguments, by their names.
 
     Attributes
     ----------
@@ -66,7 +89,7 @@ class Expression:
         text: str,
         variables: tuple[str, ...],
         constants: Mapping[str, float] | None = None,
-        histories: Mapping[str, History] = MappingProxyType({}),
+        histories: Histories = MappingProxyType({}),
     ) -> None:
         self.text = text
         self._variables, self._histories = variables, histories
@@ -85,7 +108,7 @@ class Expression:
         parts = [self._like(ast.unparse(part)) for part in node.args]
         _ = [part.compiled if part.depends_on else part._fixed for part in parts]
         if name in self._histories:
-            return lambda given: self._histories[name](*[part._of(given) for part in parts])
+            return lambda given: self._called(name, [part._of(given) for part in parts])
         if name != "interp":
             chosen = np.minimum if name == "min" else np.maximum
             return lambda given: reduce(chosen, [part._of(given) for part in parts])
@@ -105,6 +128,12 @@ class Expression:
             return out
 
         return interpolated
+
+    def _called(self, name: str, values: list[Array]) -> Array:
+        try:
+            return self._histories[name](*values)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from error
 
     def _of(self, given: Given) -> Array:
         """Return the values in the shape of the variables that the expression depends on."""
@@ -295,7 +324,7 @@ def _short(node: ast.expr) -> str:
     return shortened(ast.unparse(node), MOST_QUOTED)
 
 
-def _check(whole: ast.expr, known: tuple[str, ...], histories: Mapping[str, History]) -> None:
+def _check(whole: ast.expr, known: tuple[str, ...], histories: Histories) -> None:
     """Raise ValueError unless an expression has only numbers, known names and functions."""
     parts = [whole]
     for node in parts:  # the list grows during the loop
@@ -307,9 +336,7 @@ def _check(whole: ast.expr, known: tuple[str, ...], histories: Mapping[str, Hist
             parts.append(node.operand)
         elif isinstance(node, ast.Name):
             if node.id in histories:
-                names = ", ".join(_arguments_of(histories[node.id])) or "t"
-                kind = "history" if names == "t" else "function"
-                raise ValueError(f"{node.id} is a {kind}; write {node.id}({names})")
+                raise ValueError(f"{node.id} is a history; write {node.id}(t)")
             if node.id not in known:
                 raise ValueError(f"{_short(node)} is not a known name; use {', '.join(known)}")
         elif not (isinstance(node, ast.Constant) and type(node.value) in (int, float)):
@@ -321,18 +348,14 @@ def _check(whole: ast.expr, known: tuple[str, ...], histories: Mapping[str, Hist
             raise ValueError(f"{_short(node)} is too large")
 
 
-def _arguments_of(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Return the names of a function's arguments; none for a history."""
-    return getattr(function, "arguments", ())
-
-
-def _arguments(node: ast.Call, histories: Mapping[str, History]) -> list[ast.expr]:
+def _arguments(node: ast.Call, histories: Histories) -> list[ast.expr]:
     """Return the arguments of a call; a condition is replaced by its two sides."""
     name = _name(node)
     number = len(node.args)
-    if name in histories and (names := _arguments_of(histories[name])):
-        if number != len(names):
-            raise ValueError(f"{name} takes {', '.join(names)}; got {number} arguments")
+    if isinstance(function := histories.get(name), Function):
+        if number != len(function.arguments):
+            needed = ", ".join(function.arguments)
+            raise ValueError(f"{name} takes {needed}; got {number} arguments")
         return node.args
     if name in histories:
         used = _names(node)

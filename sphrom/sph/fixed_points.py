@@ -26,8 +26,9 @@ that is not a polynomial is rho0/rho = 1 / (1 + q/c0). To first order it is 1 - 
 of three fields are neglected; to zeroth order K (1 + q/c0) b is K b too.
 
 Resistance adds -lambda u and its head, -K lambda u, to du/dt, and in porous bodies to nu V u; heads
-are computed with the density rho0. The terms of a user, A u and B(u, u), likewise have heads. A strip (`sphrom.sph.fluid`) subtracts the mean e (e . a)
-from G q, V u and w: as D = -G^T and V = V^T, by products of q with -D e and of u with V e.
+are computed with the density rho0. The terms of a user, A u and B(u, u), likewise have heads. A
+strip (`sphrom.sph.fluid`) subtracts the mean e (e . a) from G q, V u and w: as D = -G^T and V =
+V^T, by products of q with -D e and of u with V e.
 
 Ghosts take as much momentum as they give. Per unit of time and depth, with m = rho0 V, the force
 on a ghost g of a wall is
@@ -53,8 +54,8 @@ from scipy import sparse
 from sphrom.arrays import Array, Mask
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, Resistance, UnitForcing
-from sphrom.sph.terms import Term
 from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, ghost_sums, row_sums
+from sphrom.sph.terms import Term
 
 Rows = slice | NDArray[np.int64]
 """Some of the points."""
