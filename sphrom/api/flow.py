@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any
 
@@ -18,7 +18,7 @@ VECTORS = ("body_force", "velocity")
 """Keys with two components, which one function may give."""
 
 
-class Flow(Mapping[str, Any]):
+class Flow(dict[str, Any]):
     """The scene of a case, with functions of Python in place of expressions.
 
     Parameters
@@ -43,11 +43,10 @@ class Flow(Mapping[str, Any]):
     @guarded(computes=False)
     @checked
     def __init__(self, **keys: Any) -> None:
-        self._functions: dict[str, Any] = {}
+        self._functions: dict[str, str] = {}
         scene = {name: self._plain(value, (name,)) for name, value in keys.items()}
-        given = scene.pop("functions", {})
-        functions = {"functions": {**given, **self._functions}} if given or self._functions else {}
-        self._scene = {"kind": "custom", **scene, **functions}
+        functions = {**scene.pop("functions", {}), **self._functions}
+        super().__init__({"kind": "custom", **scene, "functions": functions})
 
     def _plain(self, value: Any, path: tuple[str, ...]) -> Any:
         """Return a value with functions replaced by texts, and by their digests."""
@@ -62,27 +61,11 @@ class Flow(Mapping[str, Any]):
                 return value
             if path[-1] in VECTORS:
                 return [self._plain(_component(value, n), (*path, "xy"[n])) for n in range(2)]
-            digest = remember(value)
-            arguments = Function(value).arguments
+            name = path[-1] if path[0] == "functions" else re.sub(r"\W", "_", "_".join(path))
+            self._functions[name] = remember(value)
+            return f"{name}({', '.join(Function(name, value).arguments)})"
         except ValueError as error:
             raise CaseError(f"{'.'.join(path)}: {error}") from error
-        if path[0] == "functions":
-            return digest
-        name = re.sub(r"\W", "_", "_".join(path))
-        self._functions[name] = digest
-        return f"{name}({', '.join(arguments)})"
-
-    def __getitem__(self, name: str) -> Any:
-        return self._scene[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._scene)
-
-    def __len__(self) -> int:
-        return len(self._scene)
-
-    def __repr__(self) -> str:
-        return f"Flow({', '.join(self)})"
 
 
 def _component(function: Callable[..., Any], number: int) -> Callable[..., Any]:

@@ -235,7 +235,7 @@ class CustomScene(SceneSection):
     @property
     def called(self) -> dict[str, History | Function]:
         """Histories and functions that expressions may call, by name."""
-        functions = {name: Function(function_of(one)) for name, one in self.functions.items()}
+        functions = {name: Function(name, function_of(one)) for name, one in self.functions.items()}
         return {**self.histories, **functions}
 
     @property

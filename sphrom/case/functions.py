@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 import sysconfig
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from types import CodeType, FunctionType, ModuleType
 from typing import Annotated, Any
 
@@ -19,13 +19,13 @@ from pydantic import AfterValidator
 _FUNCTIONS: dict[str, Callable[..., Any]] = {}
 """The functions of this process by their digests."""
 _INSTALLED = tuple(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib"))
-"""Folders of libraries, whose functions are identified by their names."""
+"""Folders of libraries."""
 
 
 def remember(function: Callable[..., Any]) -> str:
     """Keep a function, and return its SHA-256. Raises ValueError if it can't be identified."""
     try:
-        parts = b"\0".join(_identity(function, []))
+        parts = b"\0".join(_identity(function, {}, []))
     except Exception as error:  # pickling raises errors of any kind
         reason = "uses a value that can't be pickled, so its results can't be identified"
         raise ValueError(f"the function {reason}: {error}") from error
@@ -53,32 +53,24 @@ Digest = Annotated[str, AfterValidator(_known)]
 """The digest of a function of this process."""
 
 
-def _identity(value: Any, seen: list[Any]) -> Iterator[bytes]:
-    """Yield what identifies a value: code, constants, closures, and the globals that it names."""
-    if isinstance(value, FunctionType) and value.__code__.co_filename.startswith(_INSTALLED):
-        yield f"{value.__module__}.{value.__qualname__}".encode()
-    elif isinstance(value, FunctionType):
+def _identity(value: Any, scope: Mapping[str, Any], seen: list[Any]) -> Iterator[bytes]:
+    """Yield what identifies a value: code, constants, closures, and the globals that it names.
+
+    Code finds its globals in `scope`. Functions of libraries are identified by their names.
+    """
+    if isinstance(value, FunctionType) and not value.__code__.co_filename.startswith(_INSTALLED):
         if any(value is one for one in seen):
             return  # it calls itself
         seen.append(value)
-        code = value.__code__
-        used = [value.__globals__[n] for n in _names(code) if n in value.__globals__]
         cells = [cell.cell_contents for cell in value.__closure__ or ()]
-        usual = (value.__defaults__, [*(value.__kwdefaults__ or {}).items()])
-        yield from _identity((code, *usual, *cells, *used), seen)
+        usual = [value.__defaults__, [*(value.__kwdefaults__ or {}).items()]]
+        yield from _identity([value.__code__, *usual, *cells], value.__globals__, seen)
     elif isinstance(value, CodeType):
         yield from (value.co_code, repr(value.co_names).encode())
-        yield from _identity(value.co_consts, seen)
+        used = [scope[name] for name in value.co_names if name in scope]
+        yield from _identity([*value.co_consts, *used], scope, seen)
     elif isinstance(value, tuple | list):
         for one in value:
-            yield from _identity(one, seen)
+            yield from _identity(one, scope, seen)
     else:
         yield value.__name__.encode() if isinstance(value, ModuleType) else pickle.dumps(value)
-
-
-def _names(code: CodeType) -> Iterator[str]:
-    """Yield the global names of a function and of those within it."""
-    yield from code.co_names
-    for inner in code.co_consts:
-        if isinstance(inner, CodeType):
-            yield from _names(inner)

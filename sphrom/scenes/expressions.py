@@ -48,8 +48,9 @@ _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
 @dataclass(frozen=True)
 class Function:
-    """A function of Python, and the names of its arguments without a default."""
+    """A function of Python."""
 
+    name: str
     call: Callable[..., Any]
 
     @property
@@ -63,7 +64,8 @@ class Function:
         shape = np.broadcast_shapes(*(np.shape(value) for value in values))
         found = np.asarray(self.call(*values), dtype=np.float64)
         if found.shape not in ((), shape):
-            raise ValueError(f"must return values of the shape {shape}; got {found.shape}")
+            reason = f"must return values of the shape {shape}; got {found.shape}"
+            raise ValueError(f"{self.name}: {reason}")
         return np.broadcast_to(found, shape)
 
 
@@ -108,7 +110,7 @@ class Expression:
         parts = [self._like(ast.unparse(part)) for part in node.args]
         _ = [part.compiled if part.depends_on else part._fixed for part in parts]
         if name in self._histories:
-            return lambda given: self._called(name, [part._of(given) for part in parts])
+            return lambda given: self._histories[name](*[part._of(given) for part in parts])
         if name != "interp":
             chosen = np.minimum if name == "min" else np.maximum
             return lambda given: reduce(chosen, [part._of(given) for part in parts])
@@ -128,12 +130,6 @@ class Expression:
             return out
 
         return interpolated
-
-    def _called(self, name: str, values: list[Array]) -> Array:
-        try:
-            return self._histories[name](*values)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from error
 
     def _of(self, given: Given) -> Array:
         """Return the values in the shape of the variables that the expression depends on."""

@@ -8,7 +8,7 @@ is linear.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,8 +35,8 @@ class Term:
     acceleration: Callable[[Array, Array, float], ArrayLike] | None = None
 
     def __post_init__(self) -> None:
-        given = [getattr(self, part.name) for part in fields(self)]
-        if not any(given) or not all(part is None or callable(part) for part in given):
+        given = [part for part in vars(self).values() if part is not None]
+        if not given or not all(map(callable, given)):
             raise ValueError("a term needs functions: linear, quadratic or acceleration")
 
     def matrices(self, position: Array) -> Array:

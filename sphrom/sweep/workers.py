@@ -132,8 +132,7 @@ class Workers:
         """Make runs of a case at points, in tasks of `size` runs, and return the failures."""
         alone = self.number == 1 and self._client is None
         if workspace.case.scene.has_functions and not alone:
-            reason = "other processes don't have the functions of a flow; use workers=1"
-            raise CaseError(f"--workers: {reason}")
+            raise CaseError("--workers: other processes don't have the functions of a flow; set 1")
         task = Task(
             case_text=workspace.case.text,
             case_folder=str(workspace.case.folder),
