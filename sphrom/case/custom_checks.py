@@ -107,8 +107,7 @@ def parameter_problems(scene: CustomScene, names: Collection[str]) -> Found:
         yield name, "resistance depends on it, which no parameter changes"
     for key, timed in driving.timed():
         for name in varied:
-            read = (time for called, time in timed.read() if called in scene.histories)
-            if any(time.degree_in([name]) > 0.0 for time in read):
+            if any(time.degree_in([name]) > 0.0 for _, time in timed.read()):
                 yield name, f"{key} reads a history at times that depend on it"
     for name in varied:
         if name in (*scene.walls, BODY_FORCE, INFLOW):
@@ -135,8 +134,6 @@ def unknown_times(scene: CustomScene, final_time: float) -> Found:
     times = np.linspace(0.0, final_time, N_CHECKED)
     for key, expression in scene.at().timed():
         for name, time in expression.read():
-            if name not in scene.histories:
-                continue
             if (problem := scene.histories[name].lacks(time(t=times))) is not None:
                 yield key, f"{name}: {problem}"
                 return

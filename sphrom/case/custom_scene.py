@@ -314,8 +314,10 @@ class CustomScene(SceneSection):
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and the body force."""
-        rates = ((name, wall.rotation) for name, wall in self.walls.items())
-        factors = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
+        factors = {
+            name: wall.rotation if isinstance(wall.rotation, float) else 1.0
+            for name, wall in self.walls.items()
+        }
         return {**self.constants, **factors, **dict.fromkeys(self.at().factors, 1.0)}
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:

@@ -146,8 +146,9 @@ class Expression:
 
     def read(self) -> Iterator[tuple[str, Expression]]:
         """Yield the histories that the expression reads, each with its time."""
+        read = [n for n, one in self._histories.items() if not isinstance(one, Function)]
         for call in ast.walk(self._tree):
-            if isinstance(call, ast.Call) and _name(call) in self._histories:
+            if isinstance(call, ast.Call) and _name(call) in read:
                 yield _name(call), self._like(ast.unparse(call.args[0]))
 
     def compared(self) -> Iterator[Expression]:
