@@ -26,6 +26,7 @@ from types import NoneType, UnionType
 from typing import (
     Any,
     Literal,
+    NamedTuple,
     Self,
     Union,
     dataclass_transform,
@@ -113,6 +114,20 @@ def dataset(
     )
 
 
+class Labels(NamedTuple):
+    """Labels that datasets of several records share."""
+
+    units: str
+    meaning: str
+    symbol: str = ""
+    equation: str = ""
+
+
+def labelled(axes: str, labels: Labels, **others: Any) -> Any:
+    """Declare a dataset with shared labels."""
+    return dataset(axes, **labels._asdict(), **others)
+
+
 def tensors(
     degree: int,
     units: str,
@@ -154,7 +169,7 @@ def _declared(others: dict[str, Any], **declared: Any) -> Any:
 @dataclass_transform(
     frozen_default=True,
     kw_only_default=True,
-    field_specifiers=(dataset, tensors, attribute, part, dataclasses.field),
+    field_specifiers=(dataset, labelled, tensors, attribute, part, dataclasses.field),
 )
 class Record:
     """A frozen dataclass that can be stored in an artifact, or in a group of one."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from sphrom.api.result import Labels, Result, Sensitivities, rows_of
 from sphrom.arguments import checked, finite_array
 from sphrom.arrays import Array
-from sphrom.artifacts.records.runs import ModelFile
+from sphrom.artifacts.records.reduced_models import ModelFile
 from sphrom.case.fields import LARGEST
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point

@@ -13,8 +13,7 @@ from sphrom.api.flow import Flow
 from sphrom.api.model import Model
 from sphrom.arguments import checked
 from sphrom.artifacts import open_artifact, read_record
-from sphrom.artifacts.records.reduced_models import TrainedModel
-from sphrom.artifacts.records.runs import TrainedSurfaceModel
+from sphrom.artifacts.records.reduced_models import TrainedModel, TrainedSurfaceModel
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case
 from sphrom.case.tables import remember

@@ -249,9 +249,9 @@ def _vtk(path: Path, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
     else:
         require_size(path, MOST_SNAPSHOT_BYTES)
     seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
-    request = str(path.absolute()), step, seconds
     try:
-        return _vtk_process().submit(vtk_process.read, *request).result()
+        asked = _vtk_process().submit(vtk_process.read, str(path.absolute()), step, seconds)
+        return asked.result()
     except (MemoryError, OSError, TypeError, ValueError) as error:
         reason = str(error) or type(error).__name__
         raise Fault(f"is damaged, or not a VTK file with points: {reason}") from error

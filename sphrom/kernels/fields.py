@@ -16,8 +16,6 @@ from sphrom.kernels.vectors import Vector
 X, Y, DENSITY, U, V, VOLUME, PRESSURE, VISCOUS, GRADIENT_X, GRADIENT_Y, SHIFT_U, SHIFT_V = range(12)
 N_FIELDS = 10
 """Number of rows that the sums need."""
-N_PRINTED_FIELDS = 12
-"""Number of rows that the sums as printed need."""
 FIRST = VOLUME + 1
 """The first row with one of three additional fields for gradients."""
 
@@ -100,12 +98,6 @@ class FluidConstants(NamedTuple):
     """2 delta h c0 [m2/s]."""
     advective: float
     """1 if shifting carries differences by a particle's own velocity, 0 for terms as printed."""
-
-
-def n_fields(fluid: FluidConstants) -> int:
-    """Return the number of rows of `source` for the rates; sums as printed need more."""
-    printed = fluid.advective == 0.0 or fluid.pair_viscosity > 0.0
-    return N_PRINTED_FIELDS if printed else N_FIELDS
 
 
 @inlined

@@ -18,7 +18,6 @@ from sphrom.kernels.fields import (
     NORMAL_X,
     PRESSURE,
     RETURN,
-    SHIFT_U,
     VISCOUS,
     Derived,
     Flow,
@@ -43,7 +42,7 @@ from sphrom.kernels.pairs import (
     slope_weight,
 )
 from sphrom.kernels.vectors import Vector, dot, element, minus, plus, times
-from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
+from sphrom.kernels.wendland import gradient_factor, kernel
 
 Sums = tuple[float, ...]
 
@@ -146,49 +145,6 @@ def rate_sums(
         gain = minus(times(carry, jump), times(force, offset))
         du += gain[0] * weight
         dv += gain[1] * weight
-    return dd, du, dv
-
-
-@term
-def printed_sums(
-    place: Vector,
-    own: Flow,
-    derived: Derived,
-    shifting: Vector,
-    near: Array,
-    n: int,
-    fluid: FluidConstants,
-    inverse_length: float,
-) -> tuple[float, float, float]:
-    """Add up the same with those terms as printed that constants select."""
-    places, densities, velocities, volumes = flow_at(near, slice(0, n))
-    pressures, viscosities, gradients = derived_at(near, PRESSURE, slice(0, n))
-    shifts = vector_at(near, SHIFT_U, slice(0, n))
-    stiffness = fluid.sound_speed * fluid.sound_speed
-    strength = fluid.pair_viscosity * fluid.reference_density
-    drag = fluid.laplacian_viscosity * fluid.reference_density
-    tiny = TINY / (inverse_length * inverse_length)
-    from_others = 1.0 - fluid.advective
-    own_u, own_v = times(fluid.advective, shifting)
-    dd = du = dv = 0.0
-    for k in range(n):
-        ox = place[0] - places[0][k]
-        oy = place[1] - places[1][k]
-        square = ox * ox + oy * oy
-        weight = gradient_factor(math.sqrt(square), inverse_length) * volumes[k]
-        jump_u = velocities[0][k] - own.velocity[0]
-        jump_v = velocities[1][k] - own.velocity[1]
-        jump = densities[k] - own.density
-        approach = jump_u * ox + jump_v * oy
-        carried = from_others * (shifts[0][k] * ox + shifts[1][k] * oy) + own_u * ox + own_v * oy
-        slope = dot(plus(element(gradients, k), derived.gradient), (ox, oy))
-        dd += density_exchange(jump, carried, slope, fluid) * weight
-        force = -stiffness * (pressures[k] + derived.pressure)
-        force -= strength * approach / (square + tiny)
-        pull = drag * laplacian_weight(square, inverse_length) * (viscosities[k] + derived.viscous)
-        carry = fluid.reference_density * carried - pull
-        du += (force * ox + carry * jump_u) * weight
-        dv += (force * oy + carry * jump_v) * weight
     return dd, du, dv
 
 

@@ -8,9 +8,7 @@ only the 1/r^2 of viscosity needs a guard.
 
 With G = F V_j and a_i = delta u_i . offset, the advective shifting terms of Eq. 2.6 are
 sum (rho_j - rho_i) a_i G, and those of Eq. 2.7 rho_0 / rho_i sum (u_j - u_i) a_i G: they vanish for
-a uniform field. As printed they have a_j in place of a_i, and the additional terms
-2 rho_i delta u_i . s_i and 2 rho_0 / rho_i u_i delta u_i . s_i, with s_i the sum of the kernel's
-gradient times V_j.
+a uniform field. `printed.py` has the terms as printed.
 
 The Laplacian of the velocity is -sum (c_i + c_j) (u_j - u_i) w G with the weight w of
 `wendland.py`, normalised by its second moment 1/c_i = -1/2 sum r^2 w G. The mean of both factors
@@ -23,6 +21,8 @@ Eng. 2023), in the same sums as the pressure: a bulk viscosity, which only remov
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 from numba import prange
 
@@ -33,7 +33,6 @@ from sphrom.kernels.fields import (
     DENSITY,
     DIVERGENCE,
     FIRST,
-    N_PRINTED_FIELDS,
     OWN_GRADIENT_X,
     OWN_GRADIENT_Y,
     OWN_PRESSURE,
@@ -51,8 +50,8 @@ from sphrom.kernels.fields import (
     flow_at,
     vector_at,
 )
-from sphrom.kernels.jit import parallel, term
-from sphrom.kernels.sums import Regularity, printed_sums, rate_sums, regularity_sums
+from sphrom.kernels.jit import inlined, parallel, term
+from sphrom.kernels.sums import Regularity, rate_sums, regularity_sums
 from sphrom.kernels.vectors import Vector, minus
 
 
@@ -165,6 +164,54 @@ def regularity(
                         slopes[0][i, f, 1] = slope[1]
 
 
+@inlined
+def rates_of_chunk(
+    pair_sums: Callable[..., Any],
+    spreading: Callable[..., float],
+    chunk: int,
+    blocks: Blocks,
+    search: Search,
+    source: Array,
+    regular: Array,
+    fluid: FluidConstants,
+    out: Array,
+) -> None:
+    """Compute the rates of the particles in one chunk of blocks.
+
+    Parameters
+    ----------
+    pair_sums, spreading : `rate_sums` and `no_spreading`, or those of `printed.py`.
+    """
+    n_blocks = blocks.start.size - 1
+    near = blocks.scratch[chunk, : source.shape[0]]
+    for block in range(chunk * n_blocks // N_CHUNKS, (chunk + 1) * n_blocks // N_CHUNKS):
+        here = blocks.targets[blocks.start[block] : blocks.start[block + 1]]
+        n = list_candidates(source, here, search, near)
+        origin = vector_at(source, X, here[0])
+        for t in range(here.size):
+            j = here[t]
+            i = blocks.particle[j]
+            own = flow_at(source, j)
+            derived = derived_at(regular, OWN_PRESSURE, i)
+            shifting = vector_at(regular, OWN_SHIFT_U, i)
+            place = minus(own.place, origin)
+            dd, du, dv = pair_sums(
+                place, own, derived, shifting, near, n, fluid, search.inverse_length
+            )
+            spread = spreading(shifting, vector_at(regular, SUPPORT_X, i), fluid)
+            full_density = fluid.reference_density + own.density
+            out[0, i] = dd + full_density * (spread - regular[DIVERGENCE, i])
+            u, v = own.velocity
+            out[1, i] = (du + fluid.reference_density * u * spread) / full_density
+            out[2, i] = (dv + fluid.reference_density * v * spread) / full_density
+
+
+@inlined
+def no_spreading(shifting: Vector, support: Vector, fluid: FluidConstants) -> float:
+    """Return zero [1/s]: the shifting of differences adds nothing to a uniform field."""
+    return 0.0
+
+
 @parallel
 def rates(
     blocks: Blocks,
@@ -174,45 +221,13 @@ def rates(
     fluid: FluidConstants,
     out: Array,
 ) -> None:
-    """Compute the rates of density and velocity (Eq. 2.6-2.7 without the body force).
+    """Compute the rates of density and velocity (Eq. 2.6-2.12, without ghosts and body force).
 
     Parameters
     ----------
-    source : (10, n_sources), or for sums as printed (12, n_sources).
+    source : (10, n_sources).
     regular : (9, n_particles) the result of `regularity`.
     out : (3, n_particles) rows: rate of density [kg/m3/s], acceleration x, y [m/s2].
     """
-    n_rows = source.shape[0]
-    printed = n_rows == N_PRINTED_FIELDS
-    n_blocks = blocks.start.size - 1
     for chunk in prange(N_CHUNKS):
-        near = blocks.scratch[chunk, :n_rows]
-        for block in range(chunk * n_blocks // N_CHUNKS, (chunk + 1) * n_blocks // N_CHUNKS):
-            here = blocks.targets[blocks.start[block] : blocks.start[block + 1]]
-            n = list_candidates(source, here, search, near)
-            origin = vector_at(source, X, here[0])
-            for t in range(here.size):
-                j = here[t]
-                i = blocks.particle[j]
-                own = flow_at(source, j)
-                derived = derived_at(regular, OWN_PRESSURE, i)
-                shifting = vector_at(regular, OWN_SHIFT_U, i)
-                place = minus(own.place, origin)
-                spread = 0.0
-                if printed:
-                    dd, du, dv = printed_sums(
-                        place, own, derived, shifting, near, n, fluid, search.inverse_length
-                    )
-                    shift = (
-                        shifting[0] * regular[SUPPORT_X, i] + shifting[1] * regular[SUPPORT_Y, i]
-                    )
-                    spread = (1.0 - fluid.advective) * 2.0 * shift
-                else:
-                    dd, du, dv = rate_sums(
-                        place, own, derived, shifting, near, n, fluid, search.inverse_length
-                    )
-                full_density = fluid.reference_density + own.density
-                out[0, i] = dd + full_density * (spread - regular[DIVERGENCE, i])
-                u, v = own.velocity
-                out[1, i] = (du + fluid.reference_density * u * spread) / full_density
-                out[2, i] = (dv + fluid.reference_density * v * spread) / full_density
+        rates_of_chunk(rate_sums, no_spreading, chunk, blocks, search, source, regular, fluid, out)

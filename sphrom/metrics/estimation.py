@@ -189,7 +189,13 @@ def _minimum(model: Model, values: Array, weights: Weights, start: Array) -> Min
     ended = at(search.x.tobytes())
     if ended is None:
         return None
-    return Minimum(search.x, 2.0 * float(search.cost), *ended, converged=search.status > 0)
+    return Minimum(
+        place=search.x,
+        chi_square=2.0 * float(search.cost),
+        values=ended[0],
+        derivatives=ended[1],
+        converged=search.status > 0,
+    )
 
 
 @dataclass(frozen=True)

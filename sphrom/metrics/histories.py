@@ -187,15 +187,17 @@ def _series(
 
     Values (n_snapshots, n_probes) are compared by Eq. 4.1 at the points `where`.
     """
-    reference = values[1]
-    compared = values[0][:, where], reference[:, where]
-    whole = slice(probes.on_line.start, probes.on_grid.stop)
+    run, reference = values
+    everywhere = slice(probes.on_line.start, probes.on_grid.stop)
     eq41 = {
-        name: relative_discrepancy(*compared, instantaneous_range(reference[:, over]))
-        for name, over in zip(EQ41, (probes.on_line, whole), strict=True)
+        name: relative_discrepancy(
+            run[:, where], reference[:, where], instantaneous_range(reference[:, over])
+        )
+        for name, over in zip(EQ41, (probes.on_line, everywhere), strict=True)
     }
-    overall = float(relative_l2(*vectors, field_axes=3)) if len(reference) else 0.0
-    return Series(overall, relative_l2(*vectors, field_axes=2), eq41)
+    found, wanted = vectors
+    overall = float(relative_l2(found, wanted, field_axes=3)) if len(reference) else 0.0
+    return Series(overall, relative_l2(found, wanted, field_axes=2), eq41)
 
 
 def _without_sound(

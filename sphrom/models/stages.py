@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 
 from sphrom.artifacts import write_record
-from sphrom.artifacts.records.runs import HistoryTable
+from sphrom.artifacts.records.reduced_models import HistoryTable
 from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError

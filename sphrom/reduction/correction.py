@@ -33,7 +33,7 @@ from dataclasses import replace
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.declaration import Record, dataset
+from sphrom.declaration import Labels, Record, dataset, labelled
 
 NEARNESS = 1e-4
 """Weight of the squared distances relative to the error in reproducing the point."""
@@ -129,13 +129,13 @@ FADED = 0.1
 
 UNLIMITED = 1e99
 """A correlation length beside which all distances vanish; stored values are finite."""
-PLACES = "1", "parameters of the training runs, scaled so that distances are comparable"
+PLACES = Labels("1", "parameters of the training runs, scaled so that distances are comparable")
 
 
 class Correction(Record):
     """The defects at the training points and their correlation lengths."""
 
-    places: Array = dataset("corrected_run parameter", *PLACES)
+    places: Array = labelled("corrected_run parameter", PLACES)
     defects: Array = dataset(
         "corrected_run snapshot output",
         "of the outputs",

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.declaration import Record, attribute, dataset, labelled, part
 from sphrom.metrics.series import hat, smoothed
 from sphrom.reduction.correction import PLACES, interpolation_variance, interpolation_weights
 from sphrom.reduction.held_out import UnheldShares
@@ -74,7 +74,7 @@ class ErrorCalibration(Record):
     factors: Array = dataset(
         "field", "1", "ratio of error to estimate, either way, of 95 % of the training errors"
     )
-    places: Array = dataset("estimated_run parameter", *PLACES)
+    places: Array = labelled("estimated_run parameter", PLACES)
     coordinates: Array = dataset(
         "estimated_run snapshot mode", "of the inner product", "coordinates of the training runs"
     )

@@ -146,8 +146,8 @@ class LinearPart:
         """Return the matrices of steps, given the time between snapshots [s]."""
         if (key := (interval, ratio)) not in self._matrices:
             halves = partial(self.integrals, 0.5 * interval / ratio.steps_per_snapshot)
-            step_and_states = ratio.time_step(interval), ratio.snapshots_per_step
-            self._matrices[key] = _matrices(halves, *step_and_states)
+            step = ratio.time_step(interval)
+            self._matrices[key] = _matrices(halves, step, ratio.snapshots_per_step)
         return self._matrices[key]
 
 

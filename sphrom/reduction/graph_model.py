@@ -117,9 +117,11 @@ class GraphModel:
         n_modes = len(self.basis.stream_modes)
         tables = _tables(self.basis)
         out = np.empty(coordinates.shape)
-        work = self.closure_matrix, np.empty((n_modes, n_modes)), np.empty((5, n_modes))
-        for own, state, (f_x, f_y) in zip(out, coordinates, self.force(times).T, strict=True):
-            kernels.rates(tables, state, *self.given, f_x, f_y, *work, own)
+        closure = self.closure_matrix
+        mass = np.empty((n_modes, n_modes))
+        work = np.empty((5, n_modes))
+        for rate, state, (f_x, f_y) in zip(out, coordinates, self.force(times).T, strict=True):
+            kernels.rates(tables, state, *self.given, f_x, f_y, closure, mass, work, rate)
         return out
 
     def velocity(self, coordinates: Array, points: Array) -> Array:

@@ -195,7 +195,7 @@ class CycleClosure:
         def scaled(nu: float, values: Factors) -> list[float]:
             return [lowest / nu, *(values[name] / size for name, size in sizes.items())]
 
-        trained = np.array([scaled(*point) for point in self.trained.points])
+        trained = np.array([scaled(nu, values) for nu, values in self.trained.points])
         return spline_weights(trained, np.array(scaled(viscosity, factors)))
 
     def _square(self, weights: Array) -> float:
@@ -242,10 +242,11 @@ class CycleClosure:
         """Return the largest Floquet multiplier of trained cycles across their direction."""
         largest = []
         used = self._damping if damping is None else damping
-        for point in self.trained.points:
-            cycle = self.cycle_at(*point)
+        for viscosity, factors in self.trained.points:
+            cycle = self.cycle_at(viscosity, factors)
             growth = np.eye(self.operators.n_modes)
-            rates = self.operators.at(*point).plus(self._damped(*point, used))
+            damped = self._damped(viscosity, factors, used)
+            rates = self.operators.at(viscosity, factors).plus(damped)
             jacobians = rates.jacobians(cycle.states, self.trained.amplitude)
             half = math.pi / (cycle.frequency * N_PHASES) * jacobians
             for step in np.linalg.solve(np.eye(len(growth)) - half, np.eye(len(growth)) + half):

@@ -223,8 +223,19 @@ class LocalSplines(CellSplines, ModeSplines):
         # Kernels take positions inside the domain, cell by cell.
         inside_x, inside_y = coordinates(self.domain.wrap(np.column_stack((x, y))))
         particle, start = sort_by_cell(inside_x, inside_y, self.grid)
-        kind = (length_scale(self.grid), self.order, self.polynomial_degree)
-        sweep(inside_x, inside_y, particle, start, self.grid, *kind, self._systems, scratch, *out)
+        sweep(
+            inside_x,
+            inside_y,
+            particle,
+            start,
+            self.grid,
+            length_scale(self.grid),
+            self.order,
+            self.polynomial_degree,
+            self._systems,
+            scratch,
+            *out,
+        )
 
     def combine(self, coefficients: ArrayLike) -> LocalSplines:
         factors = np.ascontiguousarray(coefficients, dtype=np.float64)

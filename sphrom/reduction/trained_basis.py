@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.declaration import Record, attribute, dataset, labelled, part
 from sphrom.metrics.quantities import FROM_FIELDS, OF_WALLS, stored
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import PLACES, Correction
@@ -157,7 +157,7 @@ class TrainedErrors(Record):
 class TrainedBasis(Record):
     """A trained model with one basis."""
 
-    places: Array = dataset("run parameter", *PLACES)
+    places: Array = labelled("run parameter", PLACES)
     rates: Mapping[str, TrainedRates] = part()
     first_step: Array = dataset(
         "run", "s", "automatic time step of each training run; zero if it diverged"

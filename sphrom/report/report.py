@@ -243,7 +243,8 @@ def paint(field: Array, colours: str, ends: tuple[float, float]) -> Pixels:
     from matplotlib.colors import Normalize, to_rgba
 
     shown = colormaps[colours].with_extremes(bad=to_rgba(SOLID_COLOUR))
-    values = Normalize(*ends)(np.ma.masked_invalid(field[::-1]))
+    low, high = ends
+    values = Normalize(low, high)(np.ma.masked_invalid(field[::-1]))
     return np.asarray(shown(values, bytes=True))[..., :3]
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.kernels import advection, fields, sweeps
+from sphrom.kernels import advection, fields, printed, sweeps
 from sphrom.kernels.wendland import kernel
 from sphrom.metrics.measures import TORQUE
 from sphrom.sph.domain import Domain, Walls
@@ -109,7 +109,11 @@ class Functional:
             damping=damping * fluid.reference_density,
             walls_return=1.0 if discretization.wall_continuity == "adjoint" else 0.0,
         )
-        self._n_fields = fields.n_fields(self._fluid_constants)
+        self._n_fields = fields.N_FIELDS
+        self._sweep_rates = sweeps.rates
+        if printed.are_selected(self._fluid_constants):
+            self._n_fields = printed.N_PRINTED_FIELDS
+            self._sweep_rates = printed.rates
         self.neighbourhood = Neighbourhood(domain, discretization, self._n_fields)
         self._source = np.empty((self._n_fields, 0))
 
@@ -142,7 +146,7 @@ class Functional:
         near = self.neighbourhood
         constants = self._fluid_constants
         out = np.empty((3, density_fluctuation.size))
-        sweeps.rates(near.blocks, near.search, sums.source, sums.regular, constants, out)
+        self._sweep_rates(near.blocks, near.search, sums.source, sums.regular, constants, out)
         if sums.walls is not None:
             sums.walls.add_rates(constants, sums.regular, out[1:])
         if self.resistance is not None:

@@ -416,7 +416,10 @@ def _panel(results: Results, quantity: str) -> Panel:
         ends = np.array([min(errors), max(errors)])
         curves.append(Curve("the case's full run", np.full(2, full_seconds), ends, "full"))
     label = f"{quantity.replace('_', ' ')}, error [%]"
-    return Panel("", "seconds of a run [s]", label, curves, "both logarithmic")
+    # A quantity that is only noise has no errors, and a logarithmic axis needs some.
+    has_errors = any(np.isfinite(curve.y).any() for curve in curves)
+    scales: Any = "both logarithmic" if has_errors else "linear"
+    return Panel("", "seconds of a run [s]", label, curves, scales)
 
 
 Mark = tuple[float, float, weighing.ModelRow]

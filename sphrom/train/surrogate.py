@@ -222,11 +222,11 @@ class StageModel:
                 size += _squares(basis, fields)
                 mean = mean_density_fluctuation(basis, density)
                 best = reconstruct(basis, project(basis, density, velocity), mean)
-                floor += _squares(basis, _fields(basis, *best), fields)
+                floor += _squares(basis, _fields(basis, best[0], best[1]), fields)
                 if run is not None:
                     mean = np.full(len(density), run.reduced.mean_density_fluctuation)
                     state = reconstruct(basis, run.coordinates[block], mean)
-                    error += _squares(basis, _fields(basis, *state), fields)
+                    error += _squares(basis, _fields(basis, state[0], state[1]), fields)
         return NONE if run is None else _percent(error, size), _percent(floor, size)
 
     def _run(self, point: ParameterPoint) -> FastRun | None:

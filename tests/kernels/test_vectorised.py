@@ -15,7 +15,7 @@ import sys
 import numba
 import pytest
 
-from sphrom.kernels import fields, jit, sums
+from sphrom.kernels import fields, jit, printed, sums
 
 TARGET = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "", "NUMBA_DISABLE_JIT": "0"}
 NUMBER = numba.float64
@@ -30,7 +30,7 @@ RATES = (PLACE, FLOW, DERIVED, PLACE, *LISTS, FLUID, NUMBER)
 KERNELS = [
     *((sums.regularity_sums, (PLACE, FLOW, *LISTS, s, REGULARITY, NUMBER)) for s in SLOPES),
     (sums.rate_sums, RATES),
-    (sums.printed_sums, RATES),
+    (printed.printed_sums, RATES),
 ]
 # A square root of a whole register of 256 bits; every distance takes one.
 PACKED_ROOT = re.compile(r"\bvsqrtpd\s[^\n]*%ymm")

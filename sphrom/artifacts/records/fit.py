@@ -8,7 +8,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts.records.runs import TIME
-from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.declaration import Record, attribute, dataset, labelled, part
 
 
 class FittedHistory(Record):
@@ -54,7 +54,7 @@ class Fit(Record, kind="sphrom/fit"):
         "parameter", "1", "eigenvalues of the Fisher matrix for parameters over their ranges"
     )
     directions: Array = dataset("parameter parameter", "1", "its eigenvectors, in rows")
-    time: Array = dataset("snapshot", *TIME)
+    time: Array = labelled("snapshot", TIME)
     history: Mapping[str, FittedHistory] = part()
     estimate_names: str = attribute("", "names of the estimates, separated by commas")
     remarks: str = attribute("", "why an interval is invalid, by estimate, separated by commas")

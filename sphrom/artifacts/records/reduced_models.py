@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sphrom.arrays import Array, Indices
-from sphrom.artifacts.records.runs import REFERENCE_POSITION, Medium, ModelFile
-from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.artifacts.records.runs import REFERENCE_POSITION, Medium
+from sphrom.declaration import Record, attribute, dataset, labelled, part
 from sphrom.metrics.quantities import FROM_FIELDS, stored
 from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, UnheldShares
 from sphrom.reduction.mode_splines import CellSplines, LatticeCoefficients
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators, ResidualFactor
+from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph
 from sphrom.reduction.trained_basis import TrainedBasis
 from sphrom.reduction.trial_basis import Modes, StoredBasis
 
@@ -23,7 +24,7 @@ from sphrom.reduction.trial_basis import Modes, StoredBasis
 class Basis(Medium, kind="sphrom/basis"):
     """Trial bases and their singular values."""
 
-    reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
+    reference_position: Array = labelled("particle component", REFERENCE_POSITION)
     volume: Array = dataset("particle", "m2", "area represented by each point", "V", "Eq. 3.15")
     mean_density_fluctuation: Mapping[str, Array] = dataset(
         "snapshot",
@@ -144,13 +145,33 @@ class Operators(Record, kind="sphrom/operators"):
     walls_driven: int = attribute("", "1 if the amplitude is that of the walls' speed, else 0")
 
 
+class HistoryTable(Record):
+    """A measured history of a case, identified by its file's digest and its columns' names."""
+
+    rows: Array = dataset(
+        "column row",
+        "s, of the history",
+        "times and values, with a row before the first and after the last",
+    )
+    sha256: str = attribute("", "digest of the file")
+    time: str | None = attribute("", "column of the times, if the case names one", default=None)
+    value: str | None = attribute("", "column of the values, if the case names one", default=None)
+
+
+class ModelFile(Medium):
+    """Data of a case that its trained models need, too."""
+
+    model: str = attribute("", "name of the model")
+    histories: Mapping[str, HistoryTable] = part(default_factory=dict)
+
+
 class TrainedModel(ModelFile, kind="sphrom/model"):
     """A trained model, with all that its runs need at any parameters."""
 
     bases: Mapping[str, TrainedBasis] = part()
     modes: Mapping[str, StoredBasis] = part(at="modes/*")
     volume: Array = dataset("particle", "m2", "area represented by each point", "V", "Eq. 3.15")
-    reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
+    reference_position: Array = labelled("particle component", REFERENCE_POSITION)
     starts: Starts | None = part(default=None)
 
 
@@ -166,3 +187,40 @@ class BSpline(Record, kind="sphrom/b-spline"):
     """Tensor-product cubic B-splines of the modes, on a lattice."""
 
     bases: Mapping[str, LatticeCoefficients] = part()
+
+
+class StoredSurfaceBasis(SurfaceBasis):
+    """A basis and the singular values of its snapshots."""
+
+    singular_values: Mapping[str, Array] = dataset(
+        "singular_value", "m2/s", "singular values of the snapshots", "sigma", "Eq. 3.16"
+    )
+
+
+class SurfaceBases(Medium, kind="sphrom/surface-basis"):
+    """Modes of stream functions and elevations."""
+
+    bases: Mapping[str, StoredSurfaceBasis] = part()
+
+
+class SurfaceModels(Record, kind="sphrom/surface-operators"):
+    """Reduced models of a flow with a free surface, trained for some numbers of modes."""
+
+    sizes: Mapping[str, TrainedGraph] = part(at="sizes/*")
+
+
+class SurfaceStarts(Record):
+    """Starts of runs of a model with a free surface."""
+
+    parameters: Array = dataset("start parameter", "1", "parameter values of each start")
+    coordinates: Array = dataset(
+        "start coordinate", "of the modes, m", "coordinates of the velocity and of the elevation"
+    )
+
+
+class TrainedSurfaceModel(ModelFile, kind="sphrom/surface-model"):
+    """A trained model of a flow with a free surface, with all that its runs need."""
+
+    basis: SurfaceBasis = part()
+    graph: TrainedGraph = part()
+    starts: SurfaceStarts | None = part(default=None)

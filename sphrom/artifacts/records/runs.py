@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.declaration import Labels, Record, attribute, dataset, labelled, part
 from sphrom.metrics.quantities import (
     FROM_FIELDS,
     IN_FLUID,
@@ -18,17 +18,14 @@ from sphrom.metrics.quantities import (
     stored_numbers,
 )
 from sphrom.reduction.stream_functions import StreamSpace
-from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph
 
-TIME = "s", "time of each snapshot", "t", "Eq. 2.18"
-"""Units, meaning, symbol and equation that several records share; likewise for other fields."""
-DENSITY = "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
-VELOCITY = "m/s", "velocity", "u", "Eq. 2.7"
-PRESSURE = "Pa", "pressure", "p", "Eq. 2.8"
-REFERENCE_POSITION = "m", "points of the reference space", "x_G", "Eq. 3.14"
-VELOCITY_ERROR = "m/s", "estimated root mean square error of the velocity"
-PRESSURE_ERROR = "Pa", "estimated root mean square error of the pressure less its mean"
-PARAMETERS = "", "parameter values of the run"
+TIME = Labels("s", "time of each snapshot", "t", "Eq. 2.18")
+DENSITY = Labels("kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6")
+VELOCITY = Labels("m/s", "velocity", "u", "Eq. 2.7")
+PRESSURE = Labels("Pa", "pressure", "p", "Eq. 2.8")
+REFERENCE_POSITION = Labels("m", "points of the reference space", "x_G", "Eq. 3.14")
+VELOCITY_ERROR = Labels("m/s", "estimated root mean square error of the velocity")
+PRESSURE_ERROR = Labels("Pa", "estimated root mean square error of the pressure less its mean")
 _ABOUT = "about a solid's centroid, or about the box's centre on a side of it"
 
 Status = Literal["complete", "unstable"]
@@ -41,10 +38,17 @@ class Medium(Record):
     sound_speed: float = attribute("m/s", "c_0 of Eq. 2.8")
 
 
-class Settings(Medium):
+class AtPoint(Medium):
+    """The reference state, and the parameter values."""
+
+    parameters: Mapping[str, float] = attribute(
+        "", "parameter values of the run", default_factory=dict
+    )
+
+
+class Settings(AtPoint):
     """The physical and numerical settings of a run."""
 
-    parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
     kinematic_viscosity: float = attribute("m2/s", "nu of Eq. 2.12")
     particle_spacing: float = attribute("m", "initial spacing of the particles")
     smoothing_length: float = attribute("m", "h of Eq. 2.2")
@@ -67,8 +71,8 @@ class Start(Record):
     """The state that the recorded part of a run starts from."""
 
     position: Array = dataset("particle component", "m", "positions of particles", "x", "Eq. 2.8")
-    density_fluctuation: Array = dataset("particle", *DENSITY)
-    velocity: Array = dataset("particle component", *VELOCITY)
+    density_fluctuation: Array = labelled("particle", DENSITY)
+    velocity: Array = labelled("particle component", VELOCITY)
 
     @property
     def state(self) -> Array:
@@ -102,10 +106,38 @@ class Measured(Record):
     quantities: Mapping[str, Array] = stored(IN_FLUID, "snapshot")
 
 
-class Snapshots(Record):
+class Timed(Record):
+    """The times of snapshots."""
+
+    time: Array = labelled("snapshot", TIME)
+
+
+class Recorded(Record):
+    """The measurements of a run."""
+
+    force: Mapping[str, Force] = part(default_factory=dict)
+    measure: Mapping[str, Measured] = part(default_factory=dict)
+
+
+class Ended(Record):
+    """The end of a run."""
+
+    status: Status = attribute("", "how the run ended")
+    status_detail: str | None = attribute("", "reason, place and time of a failure", default=None)
+
+
+class Simulated(Settings, Ended):
+    """The settings and the end of a run with density and velocity."""
+
+    unphysical: str | None = attribute(
+        "", "effects without a cause in a full run, one per line", default=None
+    )
+    memory_length: float | None = attribute("s", "tau of Eq. 3.22, of a reduced run", default=None)
+
+
+class Snapshots(Timed):
     """The snapshots of a run of particles."""
 
-    time: Array = dataset("snapshot", *TIME)
     step: Indices = dataset(
         "snapshot",
         "1",
@@ -116,9 +148,9 @@ class Snapshots(Record):
     position: Array = dataset(
         "snapshot particle component", "m", "particle positions", "x", "Eq. 2.8"
     )
-    velocity: Array = dataset("snapshot particle component", *VELOCITY)
-    density_fluctuation: Array = dataset("snapshot particle", *DENSITY)
-    pressure: Array = dataset("snapshot particle", *PRESSURE)
+    velocity: Array = labelled("snapshot particle component", VELOCITY)
+    density_fluctuation: Array = labelled("snapshot particle", DENSITY)
+    pressure: Array = labelled("snapshot particle", PRESSURE)
     generalized_coordinates: Array | None = dataset(
         "snapshot mode",
         "of the inner product",
@@ -133,11 +165,9 @@ class Snapshots(Record):
         "separate mean of a reduced run, in closed boxes",
         default=None,
     )
-    force: Mapping[str, Force] = part(default_factory=dict)
-    measure: Mapping[str, Measured] = part(default_factory=dict)
 
 
-class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
+class Trajectory(Recorded, Snapshots, Simulated, kind="sphrom/trajectory"):
     """The time series of a full or reduced run."""
 
     ghost_position: Array | None = dataset(
@@ -158,12 +188,6 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
         at="ghost/wall_velocity",
         default=None,
     )
-    status: Status = attribute("", "how the run ended")
-    status_detail: str | None = attribute("", "reason, place and time of a failure", default=None)
-    unphysical: str | None = attribute(
-        "", "effects without a cause in a full run, one per line", default=None
-    )
-    memory_length: float | None = attribute("s", "tau of Eq. 3.22, of a reduced run", default=None)
     imported_files: str | None = attribute(
         "", "source files of another program, and options", at="imported/files", default=None
     )
@@ -175,14 +199,12 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
     )
 
 
-class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
+class ReferenceSnapshots(Timed, AtPoint, kind="sphrom/reference-snapshots"):
     """The snapshots of one run, mapped onto the reference space."""
 
-    reference_position: Array = dataset("particle component", *REFERENCE_POSITION)
-    time: Array = dataset("snapshot", *TIME)
-    density_fluctuation: Array = dataset("snapshot particle", *DENSITY)
-    velocity: Array = dataset("snapshot particle component", *VELOCITY)
-    parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
+    reference_position: Array = labelled("particle component", REFERENCE_POSITION)
+    density_fluctuation: Array = labelled("snapshot particle", DENSITY)
+    velocity: Array = labelled("snapshot particle component", VELOCITY)
     map_error: Mapping[str, float] = attribute(
         "%",
         "relative L2 error of the map on the exact solution, by field",
@@ -228,7 +250,7 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     )
 
 
-class TrajectoryPart(Snapshots, kind="sphrom/trajectory-part"):
+class TrajectoryPart(Recorded, Snapshots, kind="sphrom/trajectory-part"):
     """Snapshots of an unfinished run, from one checkpoint to the next."""
 
     number: int = attribute("", "place in the order of parts, from 1")
@@ -261,8 +283,8 @@ class MeasuredOnce(Record):
 class ErrorEstimate(Record):
     """The errors of a run, estimated without a full run."""
 
-    velocity: Array = dataset("snapshot", *VELOCITY_ERROR)
-    pressure: Array = dataset("snapshot", *PRESSURE_ERROR)
+    velocity: Array = labelled("snapshot", VELOCITY_ERROR)
+    pressure: Array = labelled("snapshot", PRESSURE_ERROR)
     change: Array = dataset(
         "snapshot cause",
         "of the inner product",
@@ -304,7 +326,9 @@ class Steady(Record):
         "norm of the residual of the full rates there",
         default=None,
     )
-    velocity_error_estimate: float | None = attribute(*VELOCITY_ERROR, default=None)
+    velocity_error_estimate: float | None = attribute(
+        VELOCITY_ERROR.units, VELOCITY_ERROR.meaning, default=None
+    )
     pressure_error_estimate: float | None = attribute(
         "Pa", "estimated root mean square error of the pressure", default=None
     )
@@ -313,10 +337,9 @@ class Steady(Record):
     measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
 
 
-class Coordinates(Settings, kind="sphrom/coordinates"):
+class Coordinates(Recorded, Timed, Simulated, kind="sphrom/coordinates"):
     """The time series of a reduced run on the reference points."""
 
-    time: Array = dataset("snapshot", *TIME)
     generalized_coordinates: Array = dataset(
         "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
     )
@@ -332,8 +355,6 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
         "predict the others",
         default=None,
     )
-    force: Mapping[str, Force] = part(default_factory=dict)
-    measure: Mapping[str, Measured] = part(default_factory=dict)
     residual: Array | None = dataset(
         "snapshot",
         "of the inner product, /s",
@@ -342,23 +363,12 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     )
     error_estimate: ErrorEstimate | None = part(default=None)
     steady: Steady | None = part(default=None)
-    reference_position: Array | None = dataset(
-        "particle component",
-        "m",
-        "points of the reference space, where fields are stored",
-        "x_G",
-        "Eq. 3.14",
-        default=None,
+    reference_position: Array | None = labelled(
+        "particle component", REFERENCE_POSITION, default=None
     )
-    density_fluctuation: Array | None = dataset("snapshot particle", *DENSITY, default=None)
-    velocity: Array | None = dataset("snapshot particle component", *VELOCITY, default=None)
-    pressure: Array | None = dataset("snapshot particle", *PRESSURE, default=None)
-    status: Status = attribute("", "how the run ended")
-    status_detail: str | None = attribute("", "reason and time of a failure", default=None)
-    unphysical: str | None = attribute(
-        "", "effects without a cause in a full run, one per line", default=None
-    )
-    memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)
+    density_fluctuation: Array | None = labelled("snapshot particle", DENSITY, default=None)
+    velocity: Array | None = labelled("snapshot particle component", VELOCITY, default=None)
+    pressure: Array | None = labelled("snapshot particle", PRESSURE, default=None)
     mean_density_fluctuation: float = attribute("kg/m3", "separate mean, constant")
     integrator: Literal["runge-kutta", "exponential"] | None = attribute(
         "",
@@ -371,11 +381,10 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     largest_real_part: float = attribute("1/s", "largest real part of the spectrum at the start")
 
 
-class SurfaceSnapshots(Medium, kind="sphrom/surface-snapshots"):
+class SurfaceSnapshots(Timed, AtPoint, kind="sphrom/surface-snapshots"):
     """The snapshots of one run as stream functions and elevations."""
 
     space: StreamSpace = part()
-    time: Array = dataset("snapshot", *TIME)
     stream_function: Array = dataset(
         "snapshot coefficient", "m2/s", "coefficients of the stream function's B-splines", "psi"
     )
@@ -386,76 +395,13 @@ class SurfaceSnapshots(Medium, kind="sphrom/surface-snapshots"):
         "snapshot", "1", "norm of the velocity that the fit leaves out, over that of the particles"
     )
     speed: Array = dataset("snapshot", "m/s", "root mean square velocity of the particles")
-    parameters: Mapping[str, float] = attribute(*PARAMETERS, default_factory=dict)
 
 
-class StoredSurfaceBasis(SurfaceBasis):
-    """A basis and the singular values of its snapshots."""
-
-    singular_values: Mapping[str, Array] = dataset(
-        "singular_value", "m2/s", "singular values of the snapshots", "sigma", "Eq. 3.16"
-    )
-
-
-class SurfaceBases(Medium, kind="sphrom/surface-basis"):
-    """Modes of stream functions and elevations."""
-
-    bases: Mapping[str, StoredSurfaceBasis] = part()
-
-
-class SurfaceModels(Record, kind="sphrom/surface-operators"):
-    """Reduced models of a flow with a free surface, trained for some numbers of modes."""
-
-    sizes: Mapping[str, TrainedGraph] = part(at="sizes/*")
-
-
-class HistoryTable(Record):
-    """A measured history of a case, identified by its file's digest and its columns' names."""
-
-    rows: Array = dataset(
-        "column row",
-        "s, of the history",
-        "times and values, with a row before the first and after the last",
-    )
-    sha256: str = attribute("", "digest of the file")
-    time: str | None = attribute("", "column of the times, if the case names one", default=None)
-    value: str | None = attribute("", "column of the values, if the case names one", default=None)
-
-
-class ModelFile(Medium):
-    """Data of a case that its trained models need, too."""
-
-    model: str = attribute("", "name of the model")
-    histories: Mapping[str, HistoryTable] = part(default_factory=dict)
-
-
-class SurfaceStarts(Record):
-    """Starts of runs of a model with a free surface."""
-
-    parameters: Array = dataset("start parameter", "1", "parameter values of each start")
-    coordinates: Array = dataset(
-        "start coordinate", "of the modes, m", "coordinates of the velocity and of the elevation"
-    )
-
-
-class TrainedSurfaceModel(ModelFile, kind="sphrom/surface-model"):
-    """A trained model of a flow with a free surface, with all that its runs need."""
-
-    basis: SurfaceBasis = part()
-    graph: TrainedGraph = part()
-    starts: SurfaceStarts | None = part(default=None)
-
-
-class SurfaceRun(Settings, kind="sphrom/surface-run"):
+class SurfaceRun(Recorded, Timed, Settings, Ended, kind="sphrom/surface-run"):
     """The time series of a reduced run with a free surface."""
 
-    time: Array = dataset("snapshot", *TIME)
     generalized_coordinates: Array = dataset(
         "snapshot coordinate", "of the modes, m",
         "coordinates of the velocity's modes, then those of the elevation's", "omega-hat",
         "Eq. 3.11",
     )  # fmt: skip
-    force: Mapping[str, Force] = part(default_factory=dict)
-    measure: Mapping[str, Measured] = part(default_factory=dict)
-    status: Status = attribute("", "how the run ended")
-    status_detail: str | None = attribute("", "why it ended early, where and when", default=None)

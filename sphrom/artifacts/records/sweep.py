@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from sphrom.arrays import Array, Indices
 from sphrom.artifacts.records.runs import PRESSURE_ERROR, TIME, VELOCITY_ERROR
-from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.declaration import Record, attribute, dataset, labelled, part
 from sphrom.metrics.draws import OutputIndices, OutputStatistics
 from sphrom.metrics.quantities import MEASURABLE, PLACED, stored
 
@@ -44,11 +44,11 @@ class Estimates(Record):
         "root mean squares of the changes over time, zero for only noise",
         default=None,
     )
-    velocity_over_time: Array | None = dataset(
-        "estimated_run snapshot", *VELOCITY_ERROR, default=None
+    velocity_over_time: Array | None = labelled(
+        "estimated_run snapshot", VELOCITY_ERROR, default=None
     )
-    pressure_over_time: Array | None = dataset(
-        "estimated_run snapshot", *PRESSURE_ERROR, default=None
+    pressure_over_time: Array | None = labelled(
+        "estimated_run snapshot", PRESSURE_ERROR, default=None
     )
 
 
@@ -96,7 +96,7 @@ class Sweep(Record, kind="sphrom/sweep"):
     largest_speed: Array = dataset(
         "complete_run", "m/s", "largest speed of all points and snapshots"
     )
-    time: Array | None = dataset("snapshot", *TIME, default=None)
+    time: Array | None = labelled("snapshot", TIME, default=None)
     generalized_coordinates: Array | None = dataset(
         "complete_run snapshot mode",
         "of the inner product",

@@ -315,10 +315,14 @@ class BasisModel:
         coordinates: Array,
     ) -> Array:
         """Return the norm (n_states,) [/s] of a model's residual at coordinates."""
-        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
-        amplitude = None if reduced.amplitude is None else reduced.amplitude(times)
-        around = amplitude, point.factors, reduced.closure
-        return residual_norm(errors.factor, viscosity, coordinates, *around)
+        return residual_norm(
+            errors.factor,
+            self.workspace.case.plan.kinematic_viscosity(point),
+            coordinates,
+            amplitude=None if reduced.amplitude is None else reduced.amplitude(times),
+            factors=point.factors,
+            closure=reduced.closure,
+        )
 
 
 def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:

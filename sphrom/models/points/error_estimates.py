@@ -128,11 +128,18 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     errors = fitted.errors(run.time, residual, run.coordinates)
     sizes = trained.products.sizes(run.coordinates)
     squares = np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)
-    of_velocity, of_pressure = (100.0 * np.sqrt(squares)).tolist()
+    velocity_percent, pressure_percent = (100.0 * np.sqrt(squares)).tolist()
     velocity, pressure = (errors * trained.units).T
-    beyond = fitted.extrapolates(len(run.time))
-    percent = of_velocity, of_pressure
-    return ErrorEstimate(velocity, pressure, *percent, beyond, residual, errors, sizes)
+    return ErrorEstimate(
+        velocity=velocity,
+        pressure=pressure,
+        velocity_percent=velocity_percent,
+        pressure_percent=pressure_percent,
+        extrapolated=fitted.extrapolates(len(run.time)),
+        residual=residual,
+        errors=errors,
+        sizes=sizes,
+    )
 
 
 def measured_sizes(run: FastRun) -> dict[str, Pair]:

@@ -159,10 +159,17 @@ class _Projection:
         ghosts = particles.walls(case, case.plan.flow(self.trained[0]))
         assert ghosts is not None
         names = case.scene.measured_walls
-        position = self.points.position
-        around = position, ghosts.position, case.plan.particle_spacing
-        slowed = self.points.slowed_over(case.plan.kinematic_viscosity(self.trained[0]))
-        tested = stokes_fields(case.scene.domain, *around, set(names.values()), *slowed)
+        viscosity = case.plan.kinematic_viscosity(self.trained[0])
+        slowing, strip = self.points.slowed_over(viscosity)
+        tested = stokes_fields(
+            case.scene.domain,
+            self.points.position,
+            ghosts=ghosts.position,
+            spacing=case.plan.particle_spacing,
+            names=set(names.values()),
+            slowing=slowing,
+            strip=strip,
+        )
         for measured, (wall, circulations) in walls.items():
             balance = tested[names[measured]], self.splines
             force = project_forces(self.points, self.basis, wall, circulations, balance)
@@ -331,9 +338,10 @@ class _Projection:
         states = self.states[:, modes]
         found = []
         for point, own in zip(self.trained, runs, strict=True):
-            around = case.plan.kinematic_viscosity(point), point.factors
+            viscosity = case.plan.kinematic_viscosity(point)
+            rates = operators.at(viscosity, point.factors)
             model = ReferenceModel(
-                polynomial=operators.at(*around).plus(calibration.at(*around)),
+                polynomial=rates.plus(calibration.at(viscosity, point.factors)),
                 basis=basis,
                 start=own[0],
                 output_times=output_times_of(case, case.plan.steps, states, point),

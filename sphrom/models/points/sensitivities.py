@@ -143,9 +143,10 @@ def tangents(
         mean = reduced.mean_density_fluctuation
         moved = zip(run + changes, mean + means, strict=True)
         sample = partial(model.on_basis(basis).sampled, points, times)
-        own, *others = (sample(*state) for state in ((run, mean), *moved))
-        velocity = np.stack([each.velocity - own.velocity for each in others])
-        pressure = np.stack([each.pressure - own.pressure for each in others])
+        samples = sample(run, mean)
+        others = [sample(coordinates, density) for coordinates, density in moved]
+        velocity = np.stack([other.velocity - samples.velocity for other in others])
+        pressure = np.stack([other.pressure - samples.pressure for other in others])
         return Samples(times, velocity, pressure)
 
     return Tangents(tuple(names), times, run, changes, means, energy, ordered, sampled)
@@ -176,9 +177,10 @@ def _integrated(steps: Steps, sides: Sequence[_Sides]) -> Array:
     if not isinstance(system, ExponentialModel):
         raise UnstableError("a model without training states has no exponential steps")
     changes = [side.change for side in sides]
-    begin = model.start, model.output_times, changes, model.amplitude
     with np.errstate(all="ignore"):
-        run, slopes = system.tangents(steps.n_steps, *begin)
+        run, slopes = system.tangents(
+            steps.n_steps, model.start, model.output_times, changes, model.amplitude
+        )
     return np.concatenate((run[None], slopes))
 
 

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.artifacts.records.runs import TrainedSurfaceModel
+from sphrom.artifacts.records.reduced_models import TrainedSurfaceModel
 from sphrom.case.measure_sections import ForceMeasure, RecordedMeasure, SurfaceMeasure
 from sphrom.case.model_sections import ALL, ReducedModelSection
 from sphrom.case.points import ParameterPoint

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sphrom.artifacts import write_record
-from sphrom.artifacts.records.runs import (
+from sphrom.artifacts.records.reduced_models import (
     StoredSurfaceBasis,
     SurfaceModels,
     SurfaceStarts,

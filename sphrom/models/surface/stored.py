@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from sphrom.arrays import Array
 from sphrom.artifacts import read_record
-from sphrom.artifacts.records.runs import SurfaceModels
+from sphrom.artifacts.records.reduced_models import SurfaceModels
 from sphrom.case.model_sections import ALL, AUTO, ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
