@@ -78,10 +78,8 @@ def check_sweep(case: Case) -> Found:
     model = studies.sweep_model(case)
     points = studies.sweep_points(case)
     steps = case.plan.steps
-    if case.sweep.sensitivities and (model is None or model.family != "points"):
+    if case.sweep.sensitivities and (model is None or not model.from_operators):
         reason = "needs a model with evaluation: operators, whose equations can be differentiated"
-        if case.scene.has_surface:
-            reason = "is not for models of a free surface, whose equations aren't differentiated"
         yield "sweep.sensitivities", reason
     yield from check_repeated("sweep", points)
     if model is None and points:
