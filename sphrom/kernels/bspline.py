@@ -20,32 +20,33 @@ from sphrom.kernels.jit import parallel, term
 Four = tuple[float, float, float, float]
 
 
+class Axis(NamedTuple):
+    """The cells between points of a lattice along an axis."""
+
+    origin: float
+    """The first point [m]."""
+    spacing: float
+    """[m]"""
+    n_cells: int
+    """The number of points if periodic, else one less."""
+    period: float
+    """Over the spacing; zero if the axis is not periodic."""
+
+
 class Lattice(NamedTuple):
     """The cells between points of a lattice."""
 
-    x_origin: float
-    """x of the first point [m]."""
-    y_origin: float
-    x_spacing: float
-    """[m]"""
-    y_spacing: float
-    n_columns: int
-    """Cells along x: the number of points if periodic, else one less."""
-    n_rows: int
-    x_period: float
-    """Over the spacing; zero if the axis is not periodic."""
-    y_period: float
+    x: Axis
+    y: Axis
 
 
 @term
-def locate(
-    place: float, origin: float, spacing: float, n_cells: int, period: float
-) -> tuple[int, float]:
+def locate(coordinate: float, axis: Axis) -> tuple[int, float]:
     """Return the cell for a coordinate, and the coordinate's position in it (0 to 1 inside)."""
-    along = (place - origin) / spacing
-    if period > 0.0:
-        along -= period * math.floor(along / period)
-    cell = min(max(math.floor(along), 0), n_cells - 1)
+    along = (coordinate - axis.origin) / axis.spacing
+    if axis.period > 0.0:
+        along -= axis.period * math.floor(along / axis.period)
+    cell = min(max(math.floor(along), 0), axis.n_cells - 1)
     return cell, along - cell
 
 
@@ -92,12 +93,8 @@ def evaluate(x: Array, y: Array, lattice: Lattice, coefficients: Array, values: 
     """
     n = values.shape[1]
     for i in prange(x.size):
-        column, tx = locate(
-            x[i], lattice.x_origin, lattice.x_spacing, lattice.n_columns, lattice.x_period
-        )
-        row, ty = locate(
-            y[i], lattice.y_origin, lattice.y_spacing, lattice.n_rows, lattice.y_period
-        )
+        column, tx = locate(x[i], lattice.x)
+        row, ty = locate(y[i], lattice.y)
         along = weights(tx)
         up = weights(ty)
         first = column * n
@@ -123,12 +120,8 @@ def evaluate_with_gradients(
     """
     n = values.shape[1]
     for i in prange(x.size):
-        column, tx = locate(
-            x[i], lattice.x_origin, lattice.x_spacing, lattice.n_columns, lattice.x_period
-        )
-        row, ty = locate(
-            y[i], lattice.y_origin, lattice.y_spacing, lattice.n_rows, lattice.y_period
-        )
+        column, tx = locate(x[i], lattice.x)
+        row, ty = locate(y[i], lattice.y)
         along = weights(tx)
         steep = slopes(tx)
         up = weights(ty)
@@ -146,5 +139,5 @@ def evaluate_with_gradients(
                 dy += rise[r] * line
                 dx += up[r] * (steep[0] * a + steep[1] * b + (steep[2] * c + steep[3] * d))
             values[i, k] = value
-            gradients[i, k, 0] = dx / lattice.x_spacing
-            gradients[i, k, 1] = dy / lattice.y_spacing
+            gradients[i, k, 0] = dx / lattice.x.spacing
+            gradients[i, k, 1] = dy / lattice.y.spacing

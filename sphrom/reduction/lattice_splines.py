@@ -94,19 +94,20 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
 
 
 def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
-    n_columns, n_rows = shape
-    along_x, along_y = domain.periodic
-    x_spacing, y_spacing = domain.lengths[0] / n_columns, domain.lengths[1] / n_rows
-    return bspline.Lattice(
-        x_origin=domain.lower[0] + 0.5 * x_spacing,
-        y_origin=domain.lower[1] + 0.5 * y_spacing,
-        x_spacing=x_spacing,
-        y_spacing=y_spacing,
-        n_columns=n_columns if along_x else n_columns - 1,
-        n_rows=n_rows if along_y else n_rows - 1,
-        x_period=float(n_columns) if along_x else 0.0,
-        y_period=float(n_rows) if along_y else 0.0,
-    )
+    axes = []
+    for lower, length, n_points, periodic in zip(
+        domain.lower, domain.lengths, shape, domain.periodic, strict=True
+    ):
+        spacing = length / n_points
+        axes.append(
+            bspline.Axis(
+                origin=lower + 0.5 * spacing,
+                spacing=spacing,
+                n_cells=n_points if periodic else n_points - 1,
+                period=float(n_points) if periodic else 0.0,
+            )
+        )
+    return bspline.Lattice(x=axes[0], y=axes[1])
 
 
 def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], Indices]:
