@@ -242,7 +242,7 @@ class BasisModel:
         projected = self._projected_force(name, point, correction)
         if not isinstance(closure, CycleClosure) or force.on_cycles is None:
             return projected
-        trained = [self._projected_force(name, each) for each in self.points]
+        trained = [self._projected_force(name, trained_at) for trained_at in self.points]
         loads = force.on_cycles.harmonics
         return closure.force_at(projected, trained, loads, viscosity, point.factors)
 
