@@ -33,13 +33,6 @@ class Axis(NamedTuple):
     """Over the spacing; zero if the axis is not periodic."""
 
 
-class Lattice(NamedTuple):
-    """The cells between points of a lattice."""
-
-    x: Axis
-    y: Axis
-
-
 @term
 def locate(coordinate: float, axis: Axis) -> tuple[int, float]:
     """Return the cell for a coordinate, and the coordinate's position in it (0 to 1 inside)."""
@@ -82,7 +75,9 @@ def add_row(nodes: Array, factor: float, along: Four, values: Array) -> None:
 
 
 @parallel
-def evaluate(x: Array, y: Array, lattice: Lattice, coefficients: Array, values: Array) -> None:
+def evaluate(
+    x: Array, y: Array, x_axis: Axis, y_axis: Axis, coefficients: Array, values: Array
+) -> None:
     """Evaluate every column at every position.
 
     Parameters
@@ -93,8 +88,8 @@ def evaluate(x: Array, y: Array, lattice: Lattice, coefficients: Array, values: 
     """
     n = values.shape[1]
     for i in prange(x.size):
-        column, tx = locate(x[i], lattice.x)
-        row, ty = locate(y[i], lattice.y)
+        column, tx = locate(x[i], x_axis)
+        row, ty = locate(y[i], y_axis)
         along = weights(tx)
         up = weights(ty)
         first = column * n
@@ -109,19 +104,25 @@ def evaluate(x: Array, y: Array, lattice: Lattice, coefficients: Array, values: 
 
 @parallel
 def evaluate_with_gradients(
-    x: Array, y: Array, lattice: Lattice, coefficients: Array, values: Array, gradients: Array
+    x: Array,
+    y: Array,
+    x_axis: Axis,
+    y_axis: Axis,
+    coefficients: Array,
+    values: Array,
+    gradients: Array,
 ) -> None:
     """Evaluate every column and its gradient at every position.
 
     Parameters
     ----------
-    x, y, lattice, coefficients : as for `evaluate`.
+    x, y, x_axis, y_axis, coefficients : as for `evaluate`.
     values, gradients : (n_positions, n), (n_positions, n, 2) the results.
     """
     n = values.shape[1]
     for i in prange(x.size):
-        column, tx = locate(x[i], lattice.x)
-        row, ty = locate(y[i], lattice.y)
+        column, tx = locate(x[i], x_axis)
+        row, ty = locate(y[i], y_axis)
         along = weights(tx)
         steep = slopes(tx)
         up = weights(ty)
@@ -139,5 +140,5 @@ def evaluate_with_gradients(
                 dy += rise[r] * line
                 dx += up[r] * (steep[0] * a + steep[1] * b + (steep[2] * c + steep[3] * d))
             values[i, k] = value
-            gradients[i, k, 0] = dx / lattice.x.spacing
-            gradients[i, k, 1] = dy / lattice.y.spacing
+            gradients[i, k, 0] = dx / x_axis.spacing
+            gradients[i, k, 1] = dy / y_axis.spacing

@@ -39,7 +39,7 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
     """
 
     domain: Domain
-    _lattice: bspline.Lattice = field(init=False, repr=False)
+    _axes: tuple[bspline.Axis, ...] = field(init=False, repr=False)
     _flat: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -52,7 +52,7 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
             raise ValueError(
                 f"coefficients {self.coefficients.shape} are not those of {shape} points"
             )
-        object.__setattr__(self, "_lattice", _cells(self.domain, shape))
+        object.__setattr__(self, "_axes", _cells(self.domain, shape))
         flat = np.ascontiguousarray(self.coefficients).reshape(len(self.coefficients), -1)
         object.__setattr__(self, "_flat", flat)
 
@@ -62,7 +62,8 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
 
     def _fill(self, x: Array, y: Array, *out: Array) -> None:
         sweep = bspline.evaluate if len(out) == 1 else bspline.evaluate_with_gradients
-        sweep(x, y, self._lattice, self._flat, *out)
+        x_axis, y_axis = self._axes
+        sweep(x, y, x_axis, y_axis, self._flat, *out)
 
     def combine(self, coefficients: ArrayLike) -> LatticeSplines:
         # Row by row: one large product would use several threads.
@@ -93,7 +94,7 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
     )
 
 
-def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
+def _cells(domain: Domain, shape: tuple[int, ...]) -> tuple[bspline.Axis, ...]:
     axes = []
     for lower, length, n_points, periodic in zip(
         domain.lower, domain.lengths, shape, domain.periodic, strict=True
@@ -107,7 +108,7 @@ def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
                 period=float(n_points) if periodic else 0.0,
             )
         )
-    return bspline.Lattice(x=axes[0], y=axes[1])
+    return tuple(axes)
 
 
 def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], Indices]:
