@@ -1,4 +1,6 @@
-"""Training of reduced models below an elevation: their size, gravity and a linear closure.
+"""Training of reduced models of fluid with a free surface: their size, gravity, a linear closure.
+
+The fluid is below the graph y = eta(x, t) (`sphrom.reduction.graph_model`).
 
 Sums over particles shift the frequency of waves by some thousandths, and of small waves by more
 than of large ones. The phase that adds up is the largest error of a model. A factor of gravity that

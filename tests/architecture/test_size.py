@@ -9,12 +9,12 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 287_700, 185
+TOKENS, MODULES = 289_000, 230
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
-TEST_LINES = 27_600
+TEST_LINES = 27_760
 LARGEST_SHARE = 0.16
 """Of a package's tokens in all."""
-SPLATS = 187
+SPLATS = 120
 """Ceiling of calls with a local tuple as positional arguments, which only sinks."""
 LAYOUT = (
     tokenize.COMMENT,

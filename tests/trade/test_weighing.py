@@ -279,9 +279,13 @@ def test_fronts_are_steps_through_the_models_on_them(tmp_path):
     save(figure, tmp_path / "trade.png")
 
 
-@pytest.mark.parametrize("others", [[], [full("100 across", 1.0)]])
+ONLY_NOISE = errors(4.0, float("nan"))
+
+
+@pytest.mark.parametrize("others", [[], [full("100 across", 1.0)], [model("M 5", 1.0, ONLY_NOISE)]])
 def test_a_picture_without_errors_or_seconds(tmp_path, others):
     rows = weighed([full(OWN, None), *others], [], MEASURE)
-    figure = draw_trade(Results(rows, NOTHING, [], MEASURE))
+    nothing = [Alternative(NEAREST, ONLY_NOISE)] if others else NOTHING
+    figure = draw_trade(Results(rows, nothing, [], MEASURE))
     assert "the case's full run" not in {line.get_label() for line in figure.axes[0].get_lines()}
     save(figure, tmp_path / "trade.png")
