@@ -214,6 +214,11 @@ class Plan(TimesPlan):
         """The settings of maps of full runs that are not keys of the case."""
         return {"space": vars(self.stream_space)} if self._scene.has_surface else {}
 
+    @property
+    def relaxed_points(self) -> bool:
+        """Whether the points of the reference space are the last particles of a full run."""
+        return self._case.reference.points == "relaxed" and not self._scene.has_surface
+
     @cached_property
     def surface_columns(self) -> Array:
         """The midpoints (n_columns,) [m] of the columns where surfaces are looked for."""

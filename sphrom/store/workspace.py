@@ -173,8 +173,7 @@ class Workspace(ArtifactFolder):
         """The reference snapshots at a parameter point."""
         parents = {"trajectory": self.full_run(point)}
         about: dict[str, object] = {"point": point.as_dict(), **self.case.plan.map_settings}
-        if self.case.reference.points == "relaxed" and not self.case.scene.has_surface:
-            # The points of the reference space are the last particles of a full run.
+        if self.case.plan.relaxed_points:
             parents["points"] = self.full_run(self.case.plan.train_points[0])
         return self._target(f"map{self._files.suffix}", point.file_label, about, parents)
 
