@@ -168,9 +168,9 @@ def _train(
     rise = float(np.mean([run.elevation.mean() - bottom - run.depth for run in runs]))
 
     def fit_of(n_surface: int, rise: float) -> _Fit:
-        own = basis.reduced(n_modes, n_surface)
+        reduced = basis.reduced(n_modes, n_surface)
         pairs = zip(runs, products, strict=True)
-        return _Fit([_Projected.of(own, run, product, rise) for run, product in pairs])
+        return _Fit([_Projected.of(reduced, run, product, rise) for run, product in pairs])
 
     n_most = min(n_modes, len(basis.surface_modes))
     fits = [fit_of(count, rise).improved(GRAVITY_STEPS, 2) for count in range(1, n_most + 1)]
