@@ -302,8 +302,8 @@ class Model:
         reduced, state, _, at = self._at("measures", coordinates, time)
         times = np.array([at])
         measured = self._fast.measures(reduced, times, state[None])
-        about = {"model": self.name, **self.parameters}
-        return self._labels.dataset(measured, times, about)
+        labels = {"model": self.name, **self.parameters}
+        return self._labels.dataset(measured, times, labels)
 
     def _require(self, ability: Ability, method: str) -> None:
         self._family.require(ability, method, self.name)

@@ -220,11 +220,11 @@ class Result:
         place. Oscillations have one value per run, such as `shedding_frequency` [Hz], NaN without
         an oscillation.
         """
-        about = {"model": self.model, **self.parameters}
+        attributes = {"model": self.model, **self.parameters}
         labels = self._labels
         measured = dict(self._measured())
         measured |= labels.case.plan.oscillations.of(self.time, measured)
-        return labels.dataset(measured, self.time, about)
+        return labels.dataset(measured, self.time, attributes)
 
     @property
     @guarded()
@@ -259,8 +259,8 @@ class Result:
         Raises CaseError when points have another shape, or one is not in the fluid; ArtifactError
         when artifacts that the run depends on have changed since.
         """
-        about = {"model": self.model, **self.parameters}
-        return self._labels.fields(points, self._sample, self.time, about)
+        attributes = {"model": self.model, **self.parameters}
+        return self._labels.fields(points, self._sample, self.time, attributes)
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -281,8 +281,8 @@ class Sensitivities(Tangents):
     @property
     def measures(self) -> xarray.Dataset:
         """The derivatives of `Result.measures`, with a first axis `parameter`."""
-        about = {"model": self.model, **self.at}
-        measures = self._labels.dataset(self.measured, self.time, about, "parameter snapshot")
+        attributes = {"model": self.model, **self.at}
+        measures = self._labels.dataset(self.measured, self.time, attributes, "parameter snapshot")
         return self._by_parameter(measures)
 
     @guarded()
@@ -291,8 +291,8 @@ class Sensitivities(Tangents):
 
         Parameters, errors and result are those of `Result.fields`, with a first axis `parameter`.
         """
-        about, axes = {"model": self.model, **self.at}, "parameter snapshot"
-        fields = self._labels.fields(points, self._sample, self.time, about, axes)
+        attributes, axes = {"model": self.model, **self.at}, "parameter snapshot"
+        fields = self._labels.fields(points, self._sample, self.time, attributes, axes)
         return self._by_parameter(fields)
 
     def _by_parameter(self, dataset: xarray.Dataset) -> xarray.Dataset:

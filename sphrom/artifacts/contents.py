@@ -25,8 +25,6 @@ from sphrom.declaration import joined
 from sphrom.errors import ArtifactError
 
 CASE = "case"
-Form = tuple[layout.Shape, np.dtype[np.generic]]
-"""The shape and the type of a dataset."""
 DIGEST = "sha256"
 """The attribute with the digest of a dataset's values."""
 MOST_NESTED = 32
@@ -89,7 +87,7 @@ class Contents:
     """The contents of a file by path: shapes and types of datasets, and attributes of groups."""
 
     case_text: str = ""
-    datasets: dict[str, Form] = field(default_factory=dict)
+    datasets: dict[str, layout.Form] = field(default_factory=dict)
     attributes: dict[str, layout.Value] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
     """The stored digests of datasets."""
@@ -150,7 +148,7 @@ def _lies_elsewhere(properties: h5py.h5p.PropDCID) -> bool:
     return any(properties.get_virtual_filename(i) != "." for i in sources)
 
 
-def _plain_form(dataset: h5py.h5d.DatasetID, path: str) -> Form:
+def _plain_form(dataset: h5py.h5d.DatasetID, path: str) -> layout.Form:
     """Return the shape and type of a dataset.
 
     Raises Fault unless it holds plain numbers, or the case, with checksums at most.

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from sphrom.declaration import PROVENANCE, TIMING, Field, find_field
 
 Shape = tuple[int, ...]
+Form = tuple[Shape, np.dtype[np.generic]]
+"""The shape and the type of a dataset."""
 Value = str | int | float | tuple[float, ...]
 
 LARGEST = 1e100
@@ -87,29 +89,26 @@ class Origin:
 
 
 def content_digest(
-    schema: str, attributes: Mapping[str, Value], datasets: Mapping[str, str]
+    schema: str,
+    attributes: Mapping[str, Value],
+    forms: Mapping[str, Form],
+    digests: Mapping[str, str],
 ) -> str:
-    """Return the digest of attributes (by path) and datasets (their `dataset_line`s by name)."""
+    """Return the digest of attributes (by path) and datasets (forms and digests by name)."""
     provenance = (*PROVENANCE, TIMING, Field("lineage/*/*", "text"))
     lines = [schema]
     for name, value in sorted(attributes.items()):
         if find_field(provenance, name) is None:
-            lines.append(f"{name} = {_canonical(value)}")
-    lines += [f"{name}: {line}" for name, line in sorted(datasets.items())]
+            text = value.hex() if isinstance(value, float) else repr(value)
+            if isinstance(value, tuple):
+                text = f"[{' '.join(number.hex() for number in value)}]"
+            lines.append(f"{name} = {text}")
+    for name, digest in sorted(digests.items()):
+        shape, dtype = forms[name]
+        lines.append(f"{name}: {dtype} {shape} {digest}")
     return text_digest("\n".join(lines))
-
-
-def dataset_line(dtype: object, shape: Shape, digest: str) -> str:
-    """Return the line that represents one dataset in `content_digest`."""
-    return f"{dtype} {shape} {digest}"
 
 
 def text_digest(text: str) -> str:
     """Return the digest of a text."""
     return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
-
-
-def _canonical(value: Value) -> str:
-    if isinstance(value, tuple):
-        return f"[{' '.join(number.hex() for number in value)}]"
-    return value.hex() if isinstance(value, float) else repr(value)

@@ -28,7 +28,6 @@ from sphrom.artifacts.contents import (
     CASE,
     Contents,
     Fault,
-    Form,
     attributes_at,
     damage,
     explained_faults,
@@ -215,7 +214,7 @@ class Artifact:
             raise Fault(f"is damaged: {name} is not what was written")
         self._contents.verified.add(name)
 
-    def form(self, name: str) -> Form:
+    def form(self, name: str) -> layout.Form:
         """Return the shape and the type of a dataset. Raises KeyError if there is none."""
         return self._contents.datasets[name]
 
@@ -277,14 +276,8 @@ def _looked_through(file: h5py.File) -> Contents:
     for name in contents.datasets.keys() - contents.digests.keys() - {CASE}:
         if SCHEMAS[kind].dataset(name) is not None:
             raise Fault(f"is damaged: {name} is not what was written")
-    lines = {
-        name: layout.dataset_line(contents.datasets[name][1], contents.datasets[name][0], digest)
-        for name, digest in contents.digests.items()
-    }
-    if (
-        layout.content_digest(kind, contents.attributes, lines)
-        != contents.attributes["content_sha256"]
-    ):
+    digest = layout.content_digest(kind, contents.attributes, contents.datasets, contents.digests)
+    if digest != contents.attributes["content_sha256"]:
         raise Fault("is damaged: its digest does not match its contents")
     return contents
 

@@ -156,10 +156,16 @@ class ArtifactWriter:
         if self._attributes.get("status", "complete") != "complete":
             for stream in self._streams.values():
                 stream.shorten()
-        lines = {name: stream.seal() for name, stream in self._streams.items()}
-        self._set(
-            "content_sha256", layout.content_digest(self._schema.name, self._attributes, lines)
+        for stream in self._streams.values():
+            stream.seal()
+        shapes = {name: stream.shape for name, stream in self._streams.items()}
+        digest = layout.content_digest(
+            self._schema.name,
+            self._attributes,
+            forms={n: (stream.shape, stream.kind) for n, stream in self._streams.items()},
+            digests={n: stream.digest for n, stream in self._streams.items()},
         )
+        self._set("content_sha256", digest)
         self._set("wall_seconds", self.age)
         self._set("timing/processor", computing_seconds() - self._computing)
         there = {*self._attributes, *self._streams}
@@ -167,7 +173,6 @@ class ArtifactWriter:
             if field.required and "*" not in field.name and field.name not in there:
                 raise ValueError(f"{self._path}: {field.name} is missing")
         with self._guard:
-            shapes = {name: stream.shape for name, stream in self._streams.items()}
             add_view(self._hdf5, self._schema.name, shapes)
             self._hdf5.flush()
 
@@ -186,13 +191,14 @@ class Stream:
         self, writer: ArtifactWriter, name: str, field: Field, dataset: h5py.Dataset
     ) -> None:
         self.field = field
+        self.kind = np.dtype(field.kind)
         self.written = 0
         self.shape: layout.Shape = dataset.shape
+        self.digest = ""
         self._writer = writer
         self._name = name
         self._dataset = dataset
-        self._line = ""
-        self._digest = hashlib.sha256()
+        self._data = hashlib.sha256()
 
     def append(self, item: ArrayLike) -> None:
         """Write the next item, which must have the dataset's type and shape.
@@ -204,8 +210,8 @@ class Stream:
     def extend(self, items: NDArray[Any]) -> None:
         """Write the next items (n_items, ...), as `append` does."""
         end = self.written + len(items)
-        if items.dtype != np.dtype(self.field.kind):
-            raise ValueError(f"{self._name} is of type {self.field.kind}, not {items.dtype}")
+        if items.dtype != self.kind:
+            raise ValueError(f"{self._name} is of type {self.kind}, not {items.dtype}")
         if items.shape[1:] != self.shape[1:] or end > self.shape[0]:
             raise ValueError(
                 f"{self._name} {self.shape} can't take {items.shape} after {self.written}"
@@ -220,7 +226,7 @@ class Stream:
         contiguous = np.ascontiguousarray(items)
         with self._writer._guard:
             self._dataset[self.written : end] = contiguous
-        self._digest.update(contiguous.data)
+        self._data.update(contiguous.data)
         self.written = end
         if end == self.shape[0]:
             self.seal()
@@ -232,23 +238,21 @@ class Stream:
             with self._writer._guard:
                 self._dataset.resize(self.shape)
 
-    def seal(self) -> str:
-        """Store the digest of the written data; return the dataset's line for the content digest.
+    def seal(self) -> None:
+        """Store the digest of the written data.
 
         The dataset is closed, because HDF5 fails with a thousand of them open.
 
         Raises ValueError if items are missing.
         """
-        if self._line:
-            return self._line
+        if self.digest:
+            return
         if self.written != self.shape[0]:
             raise ValueError(f"{self._name} has {self.written} of {self.shape[0]} items")
-        digest = self._digest.hexdigest()
+        self.digest = self._data.hexdigest()
         with self._writer._guard:
-            self._dataset.attrs["sha256"] = fixed_text(digest)
+            self._dataset.attrs["sha256"] = fixed_text(self.digest)
             self._dataset = None
-        self._line = layout.dataset_line(np.dtype(self.field.kind), self.shape, digest)
-        return self._line
 
 
 def chunk_shape(field: Field, shape: layout.Shape) -> layout.Shape | None:

@@ -116,6 +116,20 @@ def check_fixed_points(case: Case) -> Found:
             choices = " or ".join(needed)
             reason = f"must be {choices} for models with evaluation: operators, such as {name}"
             yield f"discretization.{key}", f"{reason}; got {value}"
+    for label, term in case.scene.added.items() if name is not None else ():
+        reason = f"models with evaluation: operators, such as {name}"
+        if term.acceleration is not None:
+            remedy = "give a linear or quadratic one, or set rom: []"
+            yield (
+                f"scene.terms.{label}",
+                f"its acceleration is any function, unlike {reason}; {remedy}",
+            )
+        if case.scene.measured_walls:
+            remedy = "leave force_on out, or set rom: []"
+            yield (
+                f"scene.terms.{label}",
+                f"has no share in the forces on walls of {reason}; {remedy}",
+            )
     amplitudes = case.scene.amplitudes
     if name is not None and len(set(amplitudes.values())) > 1:
         found = " and ".join(f"{text} of {key}" for key, text in amplitudes.items())
@@ -133,7 +147,9 @@ def check_surface(case: Case) -> Found:
     whole, plain = "are for a tank without solids, whose sides are walls", "is not for"
     if not domain.fills_box or any(domain.periodic):
         yield "scene", f"{reason} {whole}; set rom: []"
-    if scene.largest_resistance(1.0):
+    if scene.added:
+        yield "scene.terms", f"{plain} {reason}; set rom: []"
+    elif scene.largest_resistance(1.0):
         yield "scene.resistance", f"{plain} {reason}; leave it out"
     if not scene.gravity > 0.0:
         yield "scene.fluid.gravity", f"must be above zero for {reason}; got 0"

@@ -23,6 +23,8 @@ from sphrom.case.fields import (
 from sphrom.case.points import Listed
 
 ProjectionName = Literal["galerkin", "apg"]
+PROJECTIONS: dict[str, str] = {"galerkin": "Galerkin", "apg": "APG"}
+"""The names of projections in tables and pictures."""
 
 ALL = "all"
 """The name of the basis of all training runs."""

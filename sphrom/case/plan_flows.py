@@ -305,6 +305,8 @@ class FlowsPlan(PointsPlan):
         """Return whether anything sets the fluid in motion in a full run at a parameter point."""
         scene = self._scene
         flow = self.flow(point)
+        if any(term.acceleration is not None for term in flow.terms):
+            return True  # it may be any force
         domain = scene.domain
         place = grid_points(domain.lower, domain.upper, (N_PLACES, N_PLACES))
         fluid = place[domain.contains(place)]

@@ -22,7 +22,7 @@ from sphrom.sph.fluid import ROUNDING
 from sphrom.store.stored_run import ON_WALL, sample_run
 
 SETTLED = 0.01
-"""Largest change of a settled flow, over U, or rho U2 for a pressure."""
+"""Largest change of a settled flow, over the reference speed U, or rho U2 for a pressure."""
 SETTLING_SHARE = 0.1
 """Last part of a run, in which a steady flow must not change; steady profiles are its means."""
 SCALE = {"unit": "U, or rho U2"}

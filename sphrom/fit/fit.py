@@ -43,7 +43,7 @@ from sphrom.metrics.estimation import (
     undetermined_shares,
 )
 from sphrom.metrics.series import NO_OSCILLATION
-from sphrom.models.contract import Model, model_of
+from sphrom.models.contract import Ability, Model, family_of, model_of
 from sphrom.plots.panels import FORMATS, Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
@@ -57,7 +57,8 @@ SHOWN_DIGITS = 5
 SURE = 0.999
 """Probability that chi^2 of a correct model and noise stays below the limit for a warning."""
 TRUSTED = 4.0
-"""Largest ratio of the model's part of chi^2 to its estimate; 4 means errors twice as large."""
+"""Largest part of chi^2 beyond noise, over the part that the estimated errors of the model explain;
+4 means errors twice as large."""
 MOST_MINIMA = 5
 """Most minima that the search refines with the model's errors."""
 WHOLLY = 0.99
@@ -188,6 +189,7 @@ def run(
     model = studies.fast_section(case, case.fit.model)
     if model is None:
         raise CaseError("fit.model: no reduced model has evaluation: operators; add one to rom")
+    family_of(case, model).require(Ability.RUNS_ALONE, "fit", model.name)
     share = case.fit.noise if noise is None else studies.percent(noise, "--noise")
     source = Path(measurements) if isinstance(measurements, str | os.PathLike) else measurements
     data = read_measurements(source, case, case.plan.model_steps(model), share)

@@ -20,32 +20,26 @@ from sphrom.kernels.jit import parallel, term
 Four = tuple[float, float, float, float]
 
 
-class Lattice(NamedTuple):
-    """The cells between points of a lattice."""
+class Axis(NamedTuple):
+    """The cells between points of a lattice along an axis."""
 
-    x_origin: float
-    """x of the first point [m]."""
-    y_origin: float
-    x_spacing: float
+    origin: float
+    """The first point [m]."""
+    spacing: float
     """[m]"""
-    y_spacing: float
-    n_columns: int
-    """Cells along x: the number of points if periodic, else one less."""
-    n_rows: int
-    x_period: float
+    n_cells: int
+    """The number of points if periodic, else one less."""
+    period: float
     """Over the spacing; zero if the axis is not periodic."""
-    y_period: float
 
 
 @term
-def locate(
-    place: float, origin: float, spacing: float, n_cells: int, period: float
-) -> tuple[int, float]:
+def locate(coordinate: float, axis: Axis) -> tuple[int, float]:
     """Return the cell for a coordinate, and the coordinate's position in it (0 to 1 inside)."""
-    along = (place - origin) / spacing
-    if period > 0.0:
-        along -= period * math.floor(along / period)
-    cell = min(max(math.floor(along), 0), n_cells - 1)
+    along = (coordinate - axis.origin) / axis.spacing
+    if axis.period > 0.0:
+        along -= axis.period * math.floor(along / axis.period)
+    cell = min(max(math.floor(along), 0), axis.n_cells - 1)
     return cell, along - cell
 
 
@@ -81,7 +75,9 @@ def add_row(nodes: Array, factor: float, along: Four, values: Array) -> None:
 
 
 @parallel
-def evaluate(x: Array, y: Array, lattice: Lattice, coefficients: Array, values: Array) -> None:
+def evaluate(
+    x: Array, y: Array, x_axis: Axis, y_axis: Axis, coefficients: Array, values: Array
+) -> None:
     """Evaluate every column at every position.
 
     Parameters
@@ -92,12 +88,8 @@ def evaluate(x: Array, y: Array, lattice: Lattice, coefficients: Array, values: 
     """
     n = values.shape[1]
     for i in prange(x.size):
-        column, tx = locate(
-            x[i], lattice.x_origin, lattice.x_spacing, lattice.n_columns, lattice.x_period
-        )
-        row, ty = locate(
-            y[i], lattice.y_origin, lattice.y_spacing, lattice.n_rows, lattice.y_period
-        )
+        column, tx = locate(x[i], x_axis)
+        row, ty = locate(y[i], y_axis)
         along = weights(tx)
         up = weights(ty)
         first = column * n
@@ -112,23 +104,25 @@ def evaluate(x: Array, y: Array, lattice: Lattice, coefficients: Array, values: 
 
 @parallel
 def evaluate_with_gradients(
-    x: Array, y: Array, lattice: Lattice, coefficients: Array, values: Array, gradients: Array
+    x: Array,
+    y: Array,
+    x_axis: Axis,
+    y_axis: Axis,
+    coefficients: Array,
+    values: Array,
+    gradients: Array,
 ) -> None:
     """Evaluate every column and its gradient at every position.
 
     Parameters
     ----------
-    x, y, lattice, coefficients : as for `evaluate`.
+    x, y, x_axis, y_axis, coefficients : as for `evaluate`.
     values, gradients : (n_positions, n), (n_positions, n, 2) the results.
     """
     n = values.shape[1]
     for i in prange(x.size):
-        column, tx = locate(
-            x[i], lattice.x_origin, lattice.x_spacing, lattice.n_columns, lattice.x_period
-        )
-        row, ty = locate(
-            y[i], lattice.y_origin, lattice.y_spacing, lattice.n_rows, lattice.y_period
-        )
+        column, tx = locate(x[i], x_axis)
+        row, ty = locate(y[i], y_axis)
         along = weights(tx)
         steep = slopes(tx)
         up = weights(ty)
@@ -146,5 +140,5 @@ def evaluate_with_gradients(
                 dy += rise[r] * line
                 dx += up[r] * (steep[0] * a + steep[1] * b + (steep[2] * c + steep[3] * d))
             values[i, k] = value
-            gradients[i, k, 0] = dx / lattice.x_spacing
-            gradients[i, k, 1] = dy / lattice.y_spacing
+            gradients[i, k, 0] = dx / x_axis.spacing
+            gradients[i, k, 1] = dy / y_axis.spacing

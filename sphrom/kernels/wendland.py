@@ -1,7 +1,7 @@
 """Wendland's C2 kernel in two or three dimensions, with smoothing length h and support radius 2 h.
 
-W = 7 / (4 pi h^2) (1 - q/2)^4 (2 q + 1) with q = r/h in two dimensions (Wendland 1995), and
-21 / (16 pi h^3) in front in three. Its gradient is a factor times the offset, so neither needs a
+W = 7 / (4 pi h^2) (1 - q/2)^4 (2 q + 1) with q = r/h in two dimensions (Wendland 1995); in three,
+the factor is 21 / (16 pi h^3). Its gradient is a factor times the offset, so neither needs a
 division by the distance. Both vanish beyond the support without a branch.
 """
 

@@ -176,13 +176,12 @@ def spread(
 
     Raises ValueError if there are too few runs for intervals.
     """
-    places = [ranks(len(values), level) for level in levels]
-    low, high = (list(each) for each in zip(*places, strict=True))
+    low, high = np.array([ranks(len(values), level) for level in levels]).T
     ordered = np.sort(values, axis=0)
     sampling = np.stack((ordered[low], ordered[high]))
-    place = np.array(levels) * (len(ordered) - 1)
-    before = np.minimum(place.astype(np.int64), len(ordered) - 2)
-    between = (place - before)[:, None]
+    rank = np.array(levels) * (len(ordered) - 1)
+    before = np.minimum(rank.astype(np.int64), len(ordered) - 2)
+    between = (rank - before)[:, None]
     interval = sampling
     mean_error = root_error = np.zeros(values.shape[1])
     if errors is not None:
@@ -249,7 +248,7 @@ def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> OutputIndi
     vary = both.std(axis=0) > LEAST_SPREAD * np.abs(both).max(axis=0)
     resampled = _resampled(own, other, mixed, _drawn(n_points, seed))
     ends = 0.5 * (1.0 - CONFIDENCE) * np.array([1.0, -1.0]) + np.array([0.0, 1.0])
-    intervals = [np.quantile(each, ends, axis=0) for each in resampled]
+    intervals = [np.quantile(orders, ends, axis=0) for orders in resampled]
     found = OutputIndices(
         first=first, first_interval=intervals[0], total=total, total_interval=intervals[1]
     )

@@ -144,13 +144,13 @@ def minima(model: Model, values: Array, weights: Weights, starts: Sequence[Array
     """
     found: list[Minimum] = []
     for start in starts:
-        if (each := _minimum(model, values, weights, start)) is not None:
-            found = _with(found, each)
+        if (minimum := _minimum(model, values, weights, start)) is not None:
+            found = _with(found, minimum)
     ranked: list[Minimum] = []
     while len(ranked) < len(found):
-        rest = [each for each in found if each not in ranked]
-        most = min(each.chi_square for each in rest) + EQUAL
-        ranked += [each for each in rest if each.chi_square <= most]
+        rest = [minimum for minimum in found if minimum not in ranked]
+        most = min(minimum.chi_square for minimum in rest) + EQUAL
+        ranked += [minimum for minimum in rest if minimum.chi_square <= most]
     return ranked
 
 
@@ -252,7 +252,7 @@ def uncertainty(derivatives: Array, weights: Weights) -> Uncertainty:
 
 def nearly_as_good(found: Sequence[Minimum]) -> list[Minimum]:
     """Return the minima, including the first, whose difference from the first may be noise."""
-    return [each for each in found if each.chi_square <= found[0].chi_square + NEARLY]
+    return [minimum for minimum in found if minimum.chi_square <= found[0].chi_square + NEARLY]
 
 
 def undetermined_shares(found: Sequence[Minimum], weights: Weights) -> Array:

@@ -287,7 +287,7 @@ def effectivity(
     are left out; ratios also leave out those before `late` [s]. Return None if all errors are zero.
     """
     fields = [
-        [each.velocity[:, probes.on_grid] for each in (run, reference)],
+        [samples.velocity[:, probes.on_grid] for samples in (run, reference)],
         _fluctuations((run.pressure, reference.pressure), probes.on_grid),
     ]
     errors = np.stack([_rms(found - expected) for found, expected in fields], axis=1)
@@ -297,9 +297,9 @@ def effectivity(
     if not later.any():
         return None
     figures: list[float] = []
-    for each in zip(estimates.T, errors.T, sizes.T, strict=True):
-        estimate, error, size = (float(np.linalg.norm(values[counted])) for values in each)
-        ratio = each[0][later] / each[1][later]
+    for series in zip(estimates.T, errors.T, sizes.T, strict=True):
+        estimate, error, size = (float(np.linalg.norm(values[counted])) for values in series)
+        ratio = series[0][later] / series[1][later]
         figures += 100.0 / size * estimate, 100.0 / size * error
         figures += float(ratio.mean()), float(ratio.min()), float(ratio.max())
     return dict(zip(EFFECTIVITY, figures, strict=True))

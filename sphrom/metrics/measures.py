@@ -134,9 +134,9 @@ class Oscillations(dict[str, Oscillating]):
     def of(self, time: Array, measured: Mapping[str, Quantities]) -> dict[str, Quantities]:
         """Return figures of oscillations, the same at all times (n,), and NaN for missing ones."""
         figures: dict[str, Quantities] = {}
-        for name, each in self.items():
-            own = each.of(time, measured[each.measure])
-            figures[name] = {f: np.full(len(time), own.get(f, np.nan)) for f in OSCILLATION}
+        for name, oscillating in self.items():
+            found = oscillating.of(time, measured[oscillating.measure])
+            figures[name] = {f: np.full(len(time), found.get(f, np.nan)) for f in OSCILLATION}
         return figures
 
 
@@ -261,8 +261,8 @@ def errors_of(
     """
     if not size > 0.0:
         return None, None
-    each = [mean_square(quantity, wrong[None]) for wrong in values - reference]
-    return 100.0 * math.sqrt(np.mean(each) / size), 100.0 * math.sqrt(max(each) / size)
+    squares = [mean_square(quantity, wrong[None]) for wrong in values - reference]
+    return 100.0 * math.sqrt(np.mean(squares) / size), 100.0 * math.sqrt(max(squares) / size)
 
 
 @dataclass(frozen=True)

@@ -164,8 +164,9 @@ def demodulated(
     instants = time[0] + turns / frequency
     values = make_interp_spline(time, signal, k=5)(instants)
     carriers = 2.0 * np.cos(2.0 * np.pi * turns), 2.0 * np.sin(2.0 * np.pi * turns), 1.0
-    each = (np.convolve(values * carrier, hat(PER_PERIOD), "valid") for carrier in carriers)
-    along, across, mean = each
+    along, across, mean = (
+        np.convolve(values * carrier, hat(PER_PERIOD), "valid") for carrier in carriers
+    )
     return instants[PER_PERIOD - 1 : 1 - PER_PERIOD], along - 1j * across, mean
 
 
@@ -181,7 +182,7 @@ def oscillation_beside(time: Array, signal: Array, reference: Array) -> dict[str
         if figure in figures and expected.get(figure):
             figures[f"{figure}_error"] = 100.0 * abs(figures[figure] / expected[figure] - 1.0)
     if "frequency_error" in figures:
-        waves = [demodulated(time, each, expected["frequency"])[1] for each in (signal, reference)]
+        waves = [demodulated(time, x, expected["frequency"])[1] for x in (signal, reference)]
         angles = np.unwrap(np.angle(waves[0] * waves[1].conj()))
         figures["phase_error"] = float(np.rad2deg(angles[-1]))
     return figures

@@ -87,8 +87,8 @@ def stable_ranges(workspace: Workspace) -> list[StableRange]:
     if not path.is_file():
         return []
     document = read_json(path, made_by, {"ranges": StableRange})
-    own = document["about"].get("basis") == workspace.basis().inputs_digest
-    return list(document["ranges"]) if own else []
+    is_of_basis = document["about"].get("basis") == workspace.basis().inputs_digest
+    return list(document["ranges"]) if is_of_basis else []
 
 
 def against(
@@ -106,9 +106,9 @@ def against(
         if isinstance(value, float):
             asked[name] = value
     kind = family_of(workspace.case, section).kind
-    for each in ranges:
-        method = RUNGE_KUTTA if each.varied == STEP else EXPONENTIAL
-        is_own = (each.kind, each.projection, each.n_modes) == (kind, section.projection, n_modes)
-        is_own &= each.varied in asked and each.steps in ("", method)
-        if is_own and (text := each.says(asked[each.varied])):
+    for stable in ranges:
+        method = RUNGE_KUTTA if stable.varied == STEP else EXPONENTIAL
+        applies = stable.kind == kind and stable.projection == section.projection
+        applies &= stable.n_modes == n_modes and stable.steps in ("", method)
+        if applies and stable.varied in asked and (text := stable.says(asked[stable.varied])):
             yield text

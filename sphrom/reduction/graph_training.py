@@ -1,4 +1,6 @@
-"""Training of reduced models below an elevation: their size, gravity and a linear closure.
+"""Training of reduced models of fluid with a free surface: their size, gravity, a linear closure.
+
+The fluid is below the graph y = eta(x, t) (`sphrom.reduction.graph_model`).
 
 Sums over particles shift the frequency of waves by some thousandths, and of small waves by more
 than of large ones. The phase that adds up is the largest error of a model. A factor of gravity that
@@ -166,9 +168,9 @@ def _train(
     rise = float(np.mean([run.elevation.mean() - bottom - run.depth for run in runs]))
 
     def fit_of(n_surface: int, rise: float) -> _Fit:
-        own = basis.reduced(n_modes, n_surface)
+        reduced = basis.reduced(n_modes, n_surface)
         pairs = zip(runs, products, strict=True)
-        return _Fit([_Projected.of(own, run, product, rise) for run, product in pairs])
+        return _Fit([_Projected.of(reduced, run, product, rise) for run, product in pairs])
 
     n_most = min(n_modes, len(basis.surface_modes))
     fits = [fit_of(count, rise).improved(GRAVITY_STEPS, 2) for count in range(1, n_most + 1)]

@@ -39,7 +39,7 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
     """
 
     domain: Domain
-    _lattice: bspline.Lattice = field(init=False, repr=False)
+    _axes: tuple[bspline.Axis, ...] = field(init=False, repr=False)
     _flat: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -52,7 +52,7 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
             raise ValueError(
                 f"coefficients {self.coefficients.shape} are not those of {shape} points"
             )
-        object.__setattr__(self, "_lattice", _cells(self.domain, shape))
+        object.__setattr__(self, "_axes", _cells(self.domain, shape))
         flat = np.ascontiguousarray(self.coefficients).reshape(len(self.coefficients), -1)
         object.__setattr__(self, "_flat", flat)
 
@@ -62,7 +62,8 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
 
     def _fill(self, x: Array, y: Array, *out: Array) -> None:
         sweep = bspline.evaluate if len(out) == 1 else bspline.evaluate_with_gradients
-        sweep(x, y, self._lattice, self._flat, *out)
+        x_axis, y_axis = self._axes
+        sweep(x, y, x_axis, y_axis, self._flat, *out)
 
     def combine(self, coefficients: ArrayLike) -> LatticeSplines:
         # Row by row: one large product would use several threads.
@@ -93,20 +94,21 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
     )
 
 
-def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
-    n_columns, n_rows = shape
-    along_x, along_y = domain.periodic
-    x_spacing, y_spacing = domain.lengths[0] / n_columns, domain.lengths[1] / n_rows
-    return bspline.Lattice(
-        x_origin=domain.lower[0] + 0.5 * x_spacing,
-        y_origin=domain.lower[1] + 0.5 * y_spacing,
-        x_spacing=x_spacing,
-        y_spacing=y_spacing,
-        n_columns=n_columns if along_x else n_columns - 1,
-        n_rows=n_rows if along_y else n_rows - 1,
-        x_period=float(n_columns) if along_x else 0.0,
-        y_period=float(n_rows) if along_y else 0.0,
-    )
+def _cells(domain: Domain, shape: tuple[int, ...]) -> tuple[bspline.Axis, ...]:
+    axes = []
+    for lower, length, n_points, periodic in zip(
+        domain.lower, domain.lengths, shape, domain.periodic, strict=True
+    ):
+        spacing = length / n_points
+        axes.append(
+            bspline.Axis(
+                origin=lower + 0.5 * spacing,
+                spacing=spacing,
+                n_cells=n_points if periodic else n_points - 1,
+                period=float(n_points) if periodic else 0.0,
+            )
+        )
+    return tuple(axes)
 
 
 def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], Indices]:

@@ -1,7 +1,8 @@
-"""The modes of a trial basis as fields at fixed points, in the acoustic scaling, with gradients.
+"""The modes of a trial basis as fields at fixed points, with gradients.
 
-The first field of a state is q = c0 rho'/rho0 [m/s] here, for every inner product of the basis. The
-constant part of states in the raw product is one more field, whose coordinate is always one.
+The first field of a state is q = c0 rho'/rho0 [m/s], as in the acoustic inner product
+(`sphrom.reduction.trial_basis`), whatever product the basis has. In the raw product, of the full
+density with unit weights, states also have a constant part: one more field, with coordinate one.
 """
 
 from __future__ import annotations

@@ -73,11 +73,11 @@ class SurfaceBasis(Record):
         matrices = np.empty((n_snapshots, n_modes, n_modes))
         sides = np.empty((n_snapshots, n_modes))
         squares = np.empty(n_snapshots)
-        for number, (own, heights) in enumerate(zip(coefficients, elevation, strict=True)):
+        for number, (snapshot, heights) in enumerate(zip(coefficients, elevation, strict=True)):
             matrix, weights = _weighted_curl(self.space, heights)
             modes, velocity = (
                 weights[:, None] * (matrix @ self.stream_modes.T),
-                weights * (matrix @ own),
+                weights * (matrix @ snapshot),
             )
             matrices[number], sides[number] = modes.T @ modes, velocity @ modes
             squares[number] = velocity @ velocity
@@ -98,8 +98,8 @@ def make_basis(
     snapshots = coefficients.reshape(-1, coefficients.shape[-1])
     heights = elevation.reshape(-1, elevation.shape[-1])
     product = np.zeros((snapshots.shape[1],) * 2)
-    for own in heights:
-        matrix, weights = _weighted_curl(space, own)
+    for elevations in heights:
+        matrix, weights = _weighted_curl(space, elevations)
         product += (matrix.T * weights**2) @ matrix / len(heights)
     energies, vectors = np.linalg.eigh(snapshots @ product @ snapshots.T / len(snapshots))
     energies, vectors = energies[::-1][:n_modes], vectors[:, ::-1][:, :n_modes]

@@ -1,6 +1,6 @@
-"""A fluid with its linear state equation (Eq. 2.8), its discretization, stable steps, resistance.
+"""The records of a full run's settings: fluid, discretization, resistance; limits of stable steps.
 
-The state equation relates pressure to density fluctuations rho - rho_0.
+The state equation (Eq. 2.8) is linear. It relates pressure to density fluctuations rho - rho_0.
 
 A resistance adds -lambda u to the rates of the velocity; a porous body of permeability k has
 lambda = nu/k (Darcy's law). An open flow runs in a box that is periodic along the flow, with a

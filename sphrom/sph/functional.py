@@ -13,7 +13,7 @@ times the area. A straight side of the box contributes nothing at a uniform spee
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ from sphrom.metrics.measures import TORQUE
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import ROUNDING, Discretization, Fluid, Resistance, step_limits, volume_of
 from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.terms import Term
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.sph.walls.rule import WallTerms
 
@@ -78,6 +79,7 @@ class Functional:
     body_force: BodyForce | None = None
     wall_speed: WallSpeed | None = None
     resistance: Resistance | None = None
+    terms: Sequence[Term] = ()
 
     def __post_init__(self) -> None:
         fluid = self.fluid
@@ -234,12 +236,17 @@ class Functional:
     ) -> tuple[WallTerms | None, Array | None]:
         """Return the wall terms, and the body force less resistance (2, n_particles) [m/s2].
 
+        The latter contains the terms of a user, too.
+
         The former are None without walls, the latter is None without force and resistance.
         """
         force = None if self.body_force is None else self.body_force(position, time)
         if self.resistance is not None:
             slowing = self.resistance.rates(position, self.fluid.kinematic_viscosity) * velocity
             force = -slowing if force is None else force - slowing
+        for term in self.terms:
+            added = term(self.domain.wrap(position.T), velocity, time)
+            force = added if force is None else force + added
         if self.ghosts is None:
             return None, force
         near = self.neighbourhood

@@ -61,12 +61,8 @@ def read_quantities(artifact: Artifact, name: str) -> Quantities:
     """Return the recorded values of a measurement, by quantity (n_snapshots, ...)."""
     if f"force/{name}/pressure" in artifact:
         return totals(read_forces(artifact, name))
-    return read_by_quantity(artifact, f"measure/{name}/")
-
-
-def read_by_quantity(artifact: Artifact, begin: str) -> Quantities:
-    """Return the quantities of the existing datasets whose names begin with `begin`."""
-    return {q: artifact.read(begin + q) for q in MEASURABLE if begin + q in artifact}
+    paths = {quantity: f"measure/{name}/{quantity}" for quantity in MEASURABLE}
+    return {quantity: artifact.read(p) for quantity, p in paths.items() if p in artifact}
 
 
 def totals(loads: Array) -> Quantities:

@@ -156,22 +156,22 @@ def _outputs(
     if len(trained_places):
         places = runs[PLACE]
         variances = np.array([interpolation_variance(trained_places, place) for place in places])
-    for name, head, quantity in product(case.scene.measure, ("", FINAL), MEASURABLE):
-        if (path := f"measure/{name}/{head}{quantity}") not in runs:
+    for name, prefix, quantity in product(case.scene.measure, ("", FINAL), MEASURABLE):
+        if (path := f"measure/{name}/{prefix}{quantity}") not in runs:
             continue
         parts: Mapping[str, Array] = {}
         if over_fluid is not None and path in trained:
             differences = trained[path]
             estimated = over_fluid
-            if head:  # the end alone
+            if prefix:  # the end alone
                 differences = differences[:, None]
                 estimated = estimated[:, -1:]
             model_error = output_errors(differences, trained_places, sound_averages(case))
             errors = model_error.at(variances, estimated)
-            parts = components(quantity, errors[:, 0] if head else errors)
+            parts = components(quantity, errors[:, 0] if prefix else errors)
         for component, values in components(quantity, runs[path]).items():
-            column = f"{name}_{head}{component}{ending}"
-            kind = LINE if head else along
+            column = f"{name}_{prefix}{component}{ending}"
+            kind = LINE if prefix else along
             yield Output(column, MEASURABLE[quantity].unit, kind, values, parts.get(component))
 
 

@@ -125,10 +125,11 @@ class Maps:
 
     def __init__(self, context: StageContext, quick: bool) -> None:
         case = context.case
-        family_of(case).require(Ability.EXTREMES, "--extremes")
         basis = global_basis(case)
         first = first_model(case)
-        first = family_of(case, first).part("sized")(Workspace(context), first, basis)
+        family = family_of(case, first)
+        family.require(Ability.EXTREMES, "--extremes")
+        first = family.part("sized")(Workspace(context), first, basis)
         self.context = context
         self.case = case
         self.quick = quick

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from sphrom.case.model_sections import PROJECTIONS
 from sphrom.errors import CaseError, ResourceError
 from sphrom.models.stable_ranges import FILE, MEMORY, MOST_ERROR, STEP, TIME, UNITS, StableRange
 from sphrom.plots.panels import new_figure, save, styled
@@ -98,7 +99,7 @@ class ExtremeRun:
         """The label of the model."""
         if self.kind == "full":
             return f"full{self.steps}"
-        name = "APG" if self.projection == "apg" else "Galerkin"
+        name = PROJECTIONS[self.projection]
         place = ", on particles" if self.kind == "particles" else ""
         scheme = ", Runge-Kutta" if self.steps == RUNGE_KUTTA else ""
         return f"{name}, M = {self.n_modes}{place}{scheme}"

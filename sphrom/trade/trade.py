@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sphrom.case.model_sections import ReducedModelSection
+from sphrom.case.model_sections import PROJECTIONS, ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.study_sections import FULL
@@ -167,7 +167,7 @@ class _Trade:
     def _reduced(self, section: ReducedModelSection, full_seconds: float | None) -> Rows:
         """Run a reduced model at all points; return its rows."""
         fast = model_of(self.wider, section)
-        family = "APG" if section.projection == "apg" else "Galerkin"
+        family = PROJECTIONS[section.projection]
         label = f"{family}, M = {section.size}"
         listed = section
         for model in self.case.rom:
@@ -319,11 +319,13 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
 
 def _mapped(workspace: Workspace, row: weighing.ModelRow) -> list[StableRange]:
     """Return the stable ranges of a model with automatic steps, from maps of the extremes."""
-    name = "apg" if row.family == "APG" else "galerkin"
     maps = (r for r in stable_ranges(workspace) if (r.kind, r.steps) == ("fast", EXPONENTIAL))
     varied = (*workspace.case.plan.parameter_names, TIME)
     return [
-        r for r in maps if (r.projection, r.n_modes) == (name, row.n_modes) and r.varied in varied
+        r
+        for r in maps
+        if (PROJECTIONS[r.projection], r.n_modes) == (row.family, row.n_modes)
+        and r.varied in varied
     ]
 
 

@@ -124,7 +124,7 @@ def greedy(
 def _model(case: Case) -> ReducedModelSection:
     """Return the model to train. Raises CaseError if there is none, or no region."""
     model = fast_section(case, case.training.model)
-    family_of(case).require(Ability.TRAINING, "training")
+    family_of(case, model).require(Ability.TRAINING, "training")
     if not case.training.ranges or model is None:
         raise CaseError(
             "training: the case has no region of parameters; give ranges, such as --set "

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from sphrom.models.contract import FAMILIES
+
 pytest.importorskip("importlinter", reason="import-linter is not installed")
 
 ROOT = Path(__file__).parents[2]
@@ -45,7 +47,7 @@ def test_a_case_is_checked_without_kernels_and_files(tmp_path: Path, printed) ->
 
 KINDS = ("has_surface", "from_operators", "evaluation")
 """Keys and properties of a case that decide on the family of its models."""
-ROOMS = ("case", "setup", "sph", *(f"models/{name}" for name in ("points", "particles", "surface")))
+ROOMS = ("case", "setup", "sph", *(f"models/{name}" for name in FAMILIES))
 """Where a case, the full model and a family may ask for them."""
 
 

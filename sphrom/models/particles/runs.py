@@ -60,7 +60,7 @@ def close(
     case: Case, model: ReducedModelSection, reduced: ParticleModel, state: Array, time: float
 ) -> None:
     """Set up the closure of a model, if the case has one, at a state and time [s]."""
-    if model.projection != "galerkin":
+    if model.has_memory:
         reduced.memory_length = memory_length_of(
             case, model, lambda: reduced_jacobian(reduced, state, time)
         )

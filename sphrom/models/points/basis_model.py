@@ -150,7 +150,9 @@ class BasisModel:
         if self.problem is not None:
             raise self.problem
         model = self.projected(point)
-        step = self._first_step(point)
+        # At a training point it is exactly the step for which the correction was fitted.
+        nearest = self.trained.nearest(self.place(point))
+        step = float(self.trained.first_step[nearest]) or None  # zero if that run is not stable
         leading = model.leading and replace(model.leading, first_step=step)
         return self.corrected(replace(model, first_step=step, leading=leading), point)
 
@@ -240,7 +242,7 @@ class BasisModel:
         projected = self._projected_force(name, point, correction)
         if not isinstance(closure, CycleClosure) or force.on_cycles is None:
             return projected
-        trained = [self._projected_force(name, each) for each in self.points]
+        trained = [self._projected_force(name, trained_at) for trained_at in self.points]
         loads = force.on_cycles.harmonics
         return closure.force_at(projected, trained, loads, viscosity, point.factors)
 
@@ -259,13 +261,6 @@ class BasisModel:
         if LEADING not in self.trained.rates:
             return None
         return np.zeros((self.workspace.case.plan.steps.n_snapshots, self.basis.n_modes))
-
-    def _first_step(self, point: ParameterPoint) -> float | None:
-        """Return the automatic step [s] of the nearest training run, if that run is stable.
-
-        At a training point it is exactly the step for which the correction was fitted.
-        """
-        return float(self.trained.first_step[self.trained.nearest(self.place(point))]) or None
 
     def held_out(self) -> list[tuple[int, ReferenceModel, Array]]:
         """Return complete training runs, corrected by the other runs only.

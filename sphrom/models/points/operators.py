@@ -201,10 +201,10 @@ class _Projection:
                 change = np.gradient(states[k], times, axis=0)
                 local = force.at(viscosity, driven, point.factors)
                 found = local.at(times, states[k], change, pushes).sum(axis=1)
-                whole = force.training_loads[k].sum(axis=1)
-                whole, found = (smoothed(each, averages)[late] for each in (whole, found))
-                size = np.linalg.norm(scale * whole)
-                shares.append(float(np.linalg.norm(scale * (whole - found)) / size))
+                recorded = force.training_loads[k].sum(axis=1)
+                recorded, found = (smoothed(x, averages)[late] for x in (recorded, found))
+                size = np.linalg.norm(scale * recorded)
+                shares.append(float(np.linalg.norm(scale * (recorded - found)) / size))
             rows.append((name, format_figure(100.0 * max(shares))))
             if max(shares) > UNBALANCED:
                 self.report.warn(

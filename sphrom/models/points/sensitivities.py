@@ -191,7 +191,7 @@ def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _S
         model.workspace.case.plan.point({**values, name: values[name] + change})
         for change in (-step, step)
     )
-    below, above = (model.on_basis(basis).at(each) for each in (low, high))
+    below, above = (model.on_basis(basis).at(point) for point in (low, high))
     return _Sides(below, above, high.as_dict()[name] - low.as_dict()[name])
 
 
@@ -206,8 +206,8 @@ def _fields(
         for change, of_mean in zip(changes, means, strict=True)
     ]
     return {
-        name: {q: np.stack([each[name][q] - own[q] for each in moved]) for q in own}
-        for name, own in here.items()
+        name: {q: np.stack([run[name][q] - fields[q] for run in moved]) for q in fields}
+        for name, fields in here.items()
     }
 
 
@@ -224,4 +224,6 @@ def _forces(
             for model, step in ((side.below, -0.5 * side.width), (side.above, 0.5 * side.width))
         )
         differences.append({name: (high[name] - low[name]) / side.width for name in low})
-    return {name: totals(np.stack([each[name] for each in differences])) for name in reduced.forces}
+    return {
+        name: totals(np.stack([loads[name] for loads in differences])) for name in reduced.forces
+    }

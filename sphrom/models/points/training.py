@@ -139,7 +139,7 @@ class _Training:
         model = self._with(trained)
         models = [model.projected(point, in_training=True) for point in self.points]
         try:
-            runs = [model.integrator(each.leading or each).run() for each in models]
+            runs = [model.integrator(m.leading or m).run() for m in models]
         except CaseError as error:
             # Models without corrections may be stable at other parameters.
             model.problem = error if self.is_corrected else None
@@ -228,7 +228,7 @@ class _Training:
         found = {}
         for name, rates in trained.rates.items():
             models = [bare.equations(name, point, in_training=True) for point in self.points]
-            parts = [each.around(rates.states).linear for each in models]
+            parts = [model.around(rates.states).linear for model in models]
             found[name] = replace(rates, linear=np.stack([p.matrix for p in parts if p]))
         return found
 
@@ -265,20 +265,20 @@ class _Training:
     ) -> dict[str, TrainedForce]:
         """Return the forces with the corrections by their errors in training runs."""
         model = self._with(trained)
-        own = []
+        modelled = []
         for point, reduced, run in zip(self.points, models, coordinates, strict=True):
             added = model.added(point)
             forces = {name: model.force_at(name, point) for name in trained.forces}
             states = run if added is None else run + added
-            own.append(forces_of(replace(reduced, forces=forces), self.times, states))
+            modelled.append(forces_of(replace(reduced, forces=forces), self.times, states))
         places = trained.places
         weights = sound_averages(self.case)
         found = {}
         for name, force in trained.forces.items():
             recorded = self.stored.wall_force[name].training_loads
-            defects = recorded - np.stack([each[name] for each in own])
+            defects = recorded - np.stack([forces[name] for forces in modelled])
             defects = defects.reshape(*defects.shape[:2], -1)
-            slow = np.stack([smoothed(each, weights) for each in defects])
+            slow = np.stack([smoothed(defect, weights) for defect in defects])
             # Sound and particle noise may differ from run to run.
             parts = np.concatenate((slow, defects - slow), axis=2)
             each_load = list(np.arange(parts.shape[2])[:, None])

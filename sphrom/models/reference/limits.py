@@ -96,8 +96,8 @@ def sample_best(
     means = np.array([mean_density_fluctuation(basis, density) for density in densities])
     times = mapped.read("time")
     both, density, velocity = (
-        expand(case, basis, splines, probes.all, times, each, means)
-        for each in (by_density + by_velocity, *alone)
+        expand(case, basis, splines, probes.all, times, coordinates, means)
+        for coordinates in (by_density + by_velocity, *alone)
     )
     return both, replace(density, velocity=velocity.velocity)
 
@@ -109,10 +109,10 @@ def measured_of_map(case: Case, mapped: Artifact) -> Measured:
         return {}
     position = mapped.read("reference_position")
     states = zip(mapped.dataset("density_fluctuation"), mapped.dataset("velocity"), strict=True)
-    each = [measure(position, *map(np.asarray, state)) for state in states]
+    snapshots = [measure(position, *map(np.asarray, state)) for state in states]
     return {
-        name: {quantity: np.array([one[name][quantity] for one in each]) for quantity in first}
-        for name, first in each[0].items()
+        name: {quantity: np.array([one[name][quantity] for one in snapshots]) for quantity in first}
+        for name, first in snapshots[0].items()
     }
 
 

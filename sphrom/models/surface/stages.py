@@ -193,12 +193,15 @@ def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:
 
 def _report(workspace: Workspace, trained: dict[int, TrainedGraph]) -> None:
     rows = []
-    for each in dict.fromkeys(trained.values()):
-        errors = each.elevation_error, each.velocity_error
-        plain = each.uncalibrated_elevation_error, each.uncalibrated_velocity_error
-        figures = (*errors, *plain)
-        shown = (format_figure(100.0 * error) for error in figures)
-        rows.append((str(each.n_modes), str(each.n_surface), f"{each.gravity_factor:.4f}", *shown))
+    for graph in dict.fromkeys(trained.values()):
+        errors = (
+            graph.elevation_error,
+            graph.velocity_error,
+            graph.uncalibrated_elevation_error,
+            graph.uncalibrated_velocity_error,
+        )
+        sizes = (str(graph.n_modes), str(graph.n_surface), f"{graph.gravity_factor:.4f}")
+        rows.append((*sizes, *(format_figure(100.0 * error) for error in errors)))
     workspace.context.report.table(
         "repeated training runs: errors of elevation and velocity [%], calibrated and not",
         ("modes", "of the elevation", "gravity", "elevation", "velocity", "elevation, not",
