@@ -1,1 +1,1 @@
-"""Walls: `kinds` lists their rules, `rule` has what all share, `rules` has a class of each."""
+"""Walls: `kinds` lists their rules, `rule` has the common code, `rules` has a class of each."""
