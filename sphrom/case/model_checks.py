@@ -20,6 +20,7 @@ from sphrom.case.points import ParameterPoint, nearest_point
 from sphrom.case.study_sections import ModeFigure
 from sphrom.errors import CaseError, SphromError
 from sphrom.sph.fluid import ROUNDING
+from sphrom.sph.walls.kinds import KINDS
 from sphrom.text import exact, repeated
 
 Found = Iterator[tuple[str, str]]
@@ -108,12 +109,12 @@ def check_fixed_points(case: Case) -> Found:
     fast = (model.name for model in case.rom if model.from_operators)
     name = None if case.scene.has_surface else next(fast, None)
     for key, value, needed in (
-        ("viscosity", section.viscosity, "laplacian"),
-        ("walls.continuity", section.walls.continuity, "adjoint"),
-        ("walls.no_slip", section.walls.no_slip, "linear"),
+        ("viscosity", section.viscosity, ["laplacian"]),
+        ("walls.kind", section.walls.kind, [x for x in KINDS if KINDS[x].at_fixed_points]),
     ):
-        if name is not None and value != needed:
-            reason = f"must be {needed} for models with evaluation: operators, such as {name}"
+        if name is not None and value not in needed:
+            choices = " or ".join(needed)
+            reason = f"must be {choices} for models with evaluation: operators, such as {name}"
             yield f"discretization.{key}", f"{reason}; got {value}"
     for label, term in case.scene.added.items() if name is not None else ():
         reason = f"models with evaluation: operators, such as {name}"

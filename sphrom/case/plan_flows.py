@@ -267,8 +267,8 @@ class FlowsPlan(PointsPlan):
             shifting_as_printed=section.shifting.form == "paper",
             shifting_transport=section.shifting.transport,
             fixed_volume=section.fixed_volume,
-            no_slip="free" if self._scene.free_slip else section.walls.no_slip,
-            wall_continuity=section.walls.continuity,
+            wall_kind=section.walls.kind,
+            free_slip=self._scene.free_slip,
             free_surface=self._scene.has_surface,
         )
 

@@ -54,7 +54,7 @@ from scipy import sparse
 from sphrom.arrays import Array, Mask
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, Resistance, UnitForcing
-from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, ghost_sums, row_sums
+from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, row_sums
 from sphrom.sph.terms import Term
 
 Rows = slice | NDArray[np.int64]
@@ -126,8 +126,7 @@ class FixedPoints:
     linear_term, quadratic_term : the sums of A (2, 2, n_points) [1/s] and of B
         (2, 2, 2, n_points) [1/m] of the terms; None if there are none.
 
-    Callers must refuse other readings of the paper than the default: pair viscosity, and ghosts at
-    walls whose velocities enter the continuity equation, or are not extrapolated.
+    Callers must refuse pair viscosity, and rules of walls without matrices (`WallKind`).
     """
 
     def __init__(
@@ -157,8 +156,9 @@ class FixedPoints:
         self._damping_length = discretization.acoustic_damping * length
         self.particle_mass = fluid.reference_density * discretization.particle_spacing**2
         self._fluid = fluid_sums(self.position, domain, discretization)
+        rule = discretization.walls.rule
         self._ghosts = (
-            None if walls is None else ghost_sums(self.position, walls, domain, discretization)
+            None if walls is None else rule.sums_at(self.position, walls, domain, discretization)
         )
         moment = self._fluid.moment + (0.0 if self._ghosts is None else self._ghosts.moment)
         self._viscous = -2.0 / moment

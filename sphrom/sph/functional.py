@@ -27,7 +27,7 @@ from sphrom.sph.fluid import ROUNDING, Discretization, Fluid, Resistance, step_l
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.terms import Term
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
-from sphrom.sph.walls import GhostParticles, WallTerms
+from sphrom.sph.walls.rule import WallTerms
 
 BodyForce = Callable[[Array, float], Array]
 """The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
@@ -85,9 +85,10 @@ class Functional:
         fluid = self.fluid
         discretization = self.discretization
         domain = self.domain
+        rule = discretization.walls.rule
         self.ghosts = None
         if self.walls is not None:
-            self.ghosts = GhostParticles(self.walls, domain, fluid, discretization)
+            self.ghosts = rule(self.walls, domain, fluid, discretization)
         self.mass = fluid.reference_density * discretization.particle_spacing**2
         length = discretization.smoothing_length
         laplacian = discretization.viscosity == "laplacian"
@@ -107,7 +108,7 @@ class Functional:
             as_printed=1.0 if discretization.shifting_as_printed else 0.0,
             limit=0.5 * fluid.max_speed,
             damping=damping * fluid.reference_density,
-            walls_return=1.0 if discretization.wall_continuity == "adjoint" else 0.0,
+            walls_return=rule.returns_flux,
         )
         self._n_fields = fields.N_FIELDS
         self._sweep_rates = sweeps.rates
@@ -250,7 +251,7 @@ class Functional:
             return None, force
         near = self.neighbourhood
         speed = 1.0 if self.wall_speed is None else self.wall_speed(time)
-        return self.ghosts.beside(near.sources, source, near.reach, force, speed), force
+        return self.ghosts.beside(near.sources, source, near.search, force, speed), force
 
     def advection(
         self, position: Array, density_fluctuation: Array, velocity: Array, time: float = 0.0
