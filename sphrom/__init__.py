@@ -12,6 +12,7 @@ from sphrom import errors
 from sphrom.version import __version__
 
 if TYPE_CHECKING:
+    from sphrom.api.flow import Flow as Flow
     from sphrom.api.model import Model as Model
     from sphrom.api.result import Result as Result
     from sphrom.api.result import Sensitivities as Sensitivities
@@ -22,16 +23,19 @@ if TYPE_CHECKING:
     from sphrom.fit.fit import Estimate as Estimate
     from sphrom.fit.fit import Fit as Fit
     from sphrom.models.points.error_estimates import ErrorEstimate as ErrorEstimate
+    from sphrom.sph.terms import Term as Term
 
 FROM_API = {
     "ErrorEstimate": "models.points.error_estimates",
     "Estimate": "fit.fit",
     "Fit": "fit.fit",
     "FittedHistory": "artifacts.records.fit",
+    "Flow": "api.flow",
     "Model": "api.model",
     "Result": "api.result",
     "Sensitivities": "api.result",
     "Study": "api.study",
+    "Term": "sph.terms",
     "load": "api.study",
     "open": "api.study",
 }

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sphrom import stages
+from sphrom.api.flow import Flow
 from sphrom.api.model import Model
 from sphrom.arguments import checked
 from sphrom.artifacts import open_artifact, read_record
@@ -30,7 +31,8 @@ class Study:
 
     Parameters
     ----------
-    case : a case file, or the content of a case as a mapping.
+    case : a case file, the content of a case as a mapping, or a `Flow`. A flow is the scene of a
+        case with the name `flow`; `keys` gives other sections, such as `rom=[...]`.
     set : values by dotted key, such as `{"rom.0.n_modes": 5}`, like `--set`.
     out : folder of the artifacts, by default `runs/CASE` in the working directory.
     force : whether to overwrite artifacts and to accept a time step above its limit.
@@ -61,7 +63,11 @@ class Study:
         **keys: Any,
     ) -> None:
         self._context = stages.context_of(
-            load_case(case, {**({} if set is None else set), **keys}, force),
+            load_case(
+                {"name": "flow", "scene": case} if isinstance(case, Flow) else case,
+                {**({} if set is None else set), **keys},
+                force,
+            ),
             Reporter(quiet=quiet, write=report),
             out=None if out is None else Path(out),
             force=force,

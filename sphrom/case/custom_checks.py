@@ -83,6 +83,21 @@ def check_surface(driving: Driving) -> None:
         raise ValueError(f"fluid.level: must be above {low:g} and below {high:g}; got {level:g}")
 
 
+def largest_rate(scene: CustomScene) -> float:
+    """Return the largest rate of linear terms [1/s]. Raises ValueError for impossible terms."""
+    largest = 0.0
+    places = scene.places.all
+    for name, term in scene.added.items():
+        try:
+            matrices = term.matrices(places)
+            values = term(places, np.ones_like(places.T), 0.0)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"terms.{name}: {error}") from error
+        require_finite(f"terms.{name}", values.T, places)
+        largest += float(np.linalg.norm(matrices, axis=(0, 1)).max())
+    return largest
+
+
 def parameter_problems(scene: CustomScene, names: Collection[str]) -> Found:
     """Yield constants in which walls or the force aren't affine, and ambiguous names."""
     driving = scene.at()

@@ -33,19 +33,21 @@ from sphrom.case.driving import (
     at_places,
 )
 from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.functions import Digest, function_of
 from sphrom.case.measure_sections import MEASURE, Measures
 from sphrom.case.points import REYNOLDS
 from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection, Settings
 from sphrom.case.shapes import Shape, ShapeSection
 from sphrom.case.slowing import Slowing
 from sphrom.case.tables import HistorySection, InitialSection
-from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS
+from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS, Function, History
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE, Strip
 from sphrom.sph.places import Places
 from sphrom.sph.polygons import connects_images
+from sphrom.sph.terms import Term
 
 MOST_PLACES = 200_000
 """Most places of particles at which expressions are checked, too."""
@@ -108,6 +110,12 @@ class CustomScene(SceneSection):
     histories: dict[SafeName, HistorySection] = key(
         {}, "measured histories, by name; for one named sway, expressions in t may contain sway(t)"
     )
+    functions: dict[SafeName, Digest] = key(
+        {}, "digests of functions that expressions may call, which only sphrom.Flow gives"
+    )
+    terms: dict[SafeName, dict[Literal["linear", "quadratic", "acceleration"], Digest]] = key(
+        {}, "digests of terms of the acceleration by kind, which only sphrom.Flow gives"
+    )
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
@@ -130,13 +138,16 @@ class CustomScene(SceneSection):
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
         """Refuse inconsistent keys, and scenes that can't be built."""
-        for name in (*self.constants, *self.histories):
-            kind = "constants" if name in self.constants else "histories"
-            if name in ("x", "y", "t", REYNOLDS, *CONSTANTS, *FUNCTIONS, *CALLED):
-                raise ValueError(f"{kind}.{name}: the name is reserved; choose another")
-            if name in self.histories and (name in self.constants or not name.isidentifier()):
-                reason = "must be a name of letters, digits and _ that no constant has"
-                raise ValueError(f"histories.{name}: {reason}")
+        reserved = ("x", "y", "t", REYNOLDS, *CONSTANTS, *FUNCTIONS, *CALLED)
+        taken = set[str]()
+        for kind in ("constants", "histories", "functions"):
+            for name in getattr(self, kind):
+                if name in reserved:
+                    raise ValueError(f"{kind}.{name}: the name is reserved; choose another")
+                if kind != "constants" and (name in taken or not name.isidentifier()):
+                    reason = "must be a name of letters, digits and _ that no constant has"
+                    raise ValueError(f"{kind}.{name}: {reason}")
+                taken.add(name)
         for name, wall in self.walls.items():
             if (wall.velocity is None) == (wall.rotation is None):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
@@ -152,6 +163,7 @@ class CustomScene(SceneSection):
             if self.fluid.level is not None and "y" in self.box.periodic:
                 raise ValueError("fluid.level: needs a floor; leave y out of box.periodic")
         self.check_at({})
+        _ = self.term_rate
         return self
 
     @property
@@ -220,6 +232,28 @@ class CustomScene(SceneSection):
             return super().fill(particle_spacing, values)
         return self.fluid.fill(self.domain, particle_spacing, self.level_at(values))
 
+    @property
+    def called(self) -> dict[str, History | Function]:
+        """Histories and functions that expressions may call, by name."""
+        functions = {name: Function(name, function_of(one)) for name, one in self.functions.items()}
+        return {**self.histories, **functions}
+
+    @property
+    def added(self) -> dict[str, Term]:
+        return {
+            name: Term(**{kind: function_of(one) for kind, one in functions.items()})
+            for name, functions in self.terms.items()
+        }
+
+    @property
+    def has_functions(self) -> bool:
+        return bool(self.functions or self.terms)
+
+    @cached_property
+    def term_rate(self) -> float:
+        """The largest rate of linear terms [1/s]."""
+        return custom_checks.largest_rate(self)
+
     @cached_property
     def places(self) -> Places:
         """The places at which expressions are evaluated and checked."""
@@ -270,6 +304,7 @@ class CustomScene(SceneSection):
             here.force,
             self.slowing.resistance,
             here.wall_amplitudes,
+            tuple(self.added.values()),
         )
 
     def starts_by(self, name: str) -> bool:
@@ -279,8 +314,10 @@ class CustomScene(SceneSection):
 
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return constants, rates of rotation, and factors of velocities and the body force."""
-        rates = ((name, wall.rotation) for name, wall in self.walls.items())
-        factors = {name: rate if isinstance(rate, float) else 1.0 for name, rate in rates}
+        factors = {
+            name: wall.rotation if isinstance(wall.rotation, float) else 1.0
+            for name, wall in self.walls.items()
+        }
         return {**self.constants, **factors, **dict.fromkeys(self.at().factors, 1.0)}
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
@@ -377,7 +414,7 @@ class CustomScene(SceneSection):
         return Slowing(self, _geometries("porous", self.porous))
 
     def largest_resistance(self, viscosity: float) -> float:
-        return self.slowing.largest(viscosity)
+        return self.slowing.largest(viscosity) + self.term_rate
 
     @property
     def porous_way(self) -> float:

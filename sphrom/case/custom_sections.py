@@ -176,7 +176,7 @@ def surface_defaults(slip_along_axes: bool) -> dict[str, Any]:
             "fixed_volume": False,
             "viscosity": "paper",
             "shifting": {"enabled": False},
-            "walls": {"continuity": "normal" if slip_along_axes else "adjoint"},
+            "walls": {"kind": "normal" if slip_along_axes else "adjoint"},
         }
     }
 

@@ -20,6 +20,7 @@ from sphrom.kernels import SUPPORT_RATIO
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import ROUNDING
 from sphrom.sph.polygons import periodic_shifts
+from sphrom.sph.walls.kinds import KINDS
 
 Found = Iterator[tuple[str, str]]
 
@@ -85,10 +86,9 @@ def check_geometry(case: Case) -> Found:
         if getattr(section.walls, key) != field.default:
             reason = f"a scene of kind {case.scene.kind} has no walls"
             yield f"discretization.walls.{key}", reason
-    for key, along_axes in {"no_slip": "paper", "continuity": "normal"}.items():
-        shapes = domain.has_walls and not plan.walls_fit_lattice
-        if shapes and getattr(section.walls, key) == along_axes:
-            yield f"discretization.walls.{key}", f"{along_axes} is for walls that follow the axes"
+    kind = section.walls.kind
+    if domain.has_walls and not plan.walls_fit_lattice and KINDS[kind].along_axes:
+        yield "discretization.walls.kind", f"{kind} is for walls that follow the axes"
     gap = domain.narrowest_gap
     solid = domain.thinnest_solid
     most = min(0.5 * gap, solid)

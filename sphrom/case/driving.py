@@ -71,7 +71,7 @@ class Driving:
         scene = self.scene
         constants = {name: self.values.get(name, usual) for name, usual in scene.constants.items()}
         try:
-            expression = Expression(text, variables, constants, scene.histories)
+            expression = Expression(text, variables, constants, scene.called)
             # Except a force beside a surface, expressions in t are split into factors.
             split = "t" in variables and not (scene.has_surface and key == BODY_FORCE)
             for part in expression.separated("t") if split else (expression,):
@@ -172,14 +172,13 @@ class Driving:
 
     @cached_property
     def wall_amplitudes(self) -> dict[str, Amplitude]:
-        """The amplitudes of walls whose velocity changes with time, one for each expression."""
-        known = dict[str, Amplitude]()
-        found = {}
-        for name, drive in self.walls.items():
-            for text, amplitude in drive.amplitudes.items():
-                if amplitude.depends_on:
-                    found[name] = known.setdefault(text, _remembered(partial(_at_times, amplitude)))
-        return found
+        """The amplitudes of walls whose velocity changes with time."""
+        return {
+            name: _remembered(partial(_at_times, amplitude))
+            for name, drive in self.walls.items()
+            for amplitude in drive.amplitudes.values()
+            if amplitude.depends_on
+        }
 
     @property
     def amplitudes(self) -> dict[str, str]:

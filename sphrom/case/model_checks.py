@@ -20,6 +20,7 @@ from sphrom.case.points import ParameterPoint, nearest_point
 from sphrom.case.study_sections import ModeFigure
 from sphrom.errors import CaseError, SphromError
 from sphrom.sph.fluid import ROUNDING
+from sphrom.sph.walls.kinds import KINDS
 from sphrom.text import exact, repeated
 
 Found = Iterator[tuple[str, str]]
@@ -108,13 +109,27 @@ def check_fixed_points(case: Case) -> Found:
     fast = (model.name for model in case.rom if model.from_operators)
     name = None if case.scene.has_surface else next(fast, None)
     for key, value, needed in (
-        ("viscosity", section.viscosity, "laplacian"),
-        ("walls.continuity", section.walls.continuity, "adjoint"),
-        ("walls.no_slip", section.walls.no_slip, "linear"),
+        ("viscosity", section.viscosity, ["laplacian"]),
+        ("walls.kind", section.walls.kind, [x for x in KINDS if KINDS[x].at_fixed_points]),
     ):
-        if name is not None and value != needed:
-            reason = f"must be {needed} for models with evaluation: operators, such as {name}"
+        if name is not None and value not in needed:
+            choices = " or ".join(needed)
+            reason = f"must be {choices} for models with evaluation: operators, such as {name}"
             yield f"discretization.{key}", f"{reason}; got {value}"
+    for label, term in case.scene.added.items() if name is not None else ():
+        reason = f"models with evaluation: operators, such as {name}"
+        if term.acceleration is not None:
+            remedy = "give a linear or quadratic one, or set rom: []"
+            yield (
+                f"scene.terms.{label}",
+                f"its acceleration is any function, unlike {reason}; {remedy}",
+            )
+        if case.scene.measured_walls:
+            remedy = "leave force_on out, or set rom: []"
+            yield (
+                f"scene.terms.{label}",
+                f"has no share in the forces on walls of {reason}; {remedy}",
+            )
     amplitudes = case.scene.amplitudes
     if name is not None and len(set(amplitudes.values())) > 1:
         found = " and ".join(f"{text} of {key}" for key, text in amplitudes.items())
@@ -132,7 +147,9 @@ def check_surface(case: Case) -> Found:
     whole, plain = "are for a tank without solids, whose sides are walls", "is not for"
     if not domain.fills_box or any(domain.periodic):
         yield "scene", f"{reason} {whole}; set rom: []"
-    if scene.largest_resistance(1.0):
+    if scene.added:
+        yield "scene.terms", f"{plain} {reason}; set rom: []"
+    elif scene.largest_resistance(1.0):
         yield "scene.resistance", f"{plain} {reason}; leave it out"
     if not scene.gravity > 0.0:
         yield "scene.fluid.gravity", f"must be above zero for {reason}; got 0"

@@ -267,8 +267,8 @@ class FlowsPlan(PointsPlan):
             shifting_as_printed=section.shifting.form == "paper",
             shifting_transport=section.shifting.transport,
             fixed_volume=section.fixed_volume,
-            no_slip="free" if self._scene.free_slip else section.walls.no_slip,
-            wall_continuity=section.walls.continuity,
+            wall_kind=section.walls.kind,
+            free_slip=self._scene.free_slip,
             free_surface=self._scene.has_surface,
         )
 
@@ -305,6 +305,8 @@ class FlowsPlan(PointsPlan):
         """Return whether anything sets the fluid in motion in a full run at a parameter point."""
         scene = self._scene
         flow = self.flow(point)
+        if any(term.acceleration is not None for term in flow.terms):
+            return True  # it may be any force
         domain = scene.domain
         place = grid_points(domain.lower, domain.upper, (N_PLACES, N_PLACES))
         fluid = place[domain.contains(place)]

@@ -24,6 +24,7 @@ from sphrom.scenes.flows import Channel, Scales, Scene
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE, Fluid, Strip
+from sphrom.sph.terms import Term
 
 Defaults = Mapping[str, Any]
 Settings = Sequence[Mapping[str, float]]
@@ -111,8 +112,18 @@ class SceneSection(Section):
         return 0.0
 
     def largest_resistance(self, viscosity: float) -> float:
-        """Return the largest rate of resistance [1/s], at a viscosity [m2/s]."""
+        """Return the largest rate of resistance and linear terms [1/s], at a viscosity [m2/s]."""
         return 0.0
+
+    @property
+    def added(self) -> Mapping[str, Term]:
+        """The terms that a user adds to the acceleration, by name."""
+        return {}
+
+    @property
+    def has_functions(self) -> bool:
+        """Whether the scene has functions of Python, which other processes don't have."""
+        return False
 
     @property
     def has_surface(self) -> bool:

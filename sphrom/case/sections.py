@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -22,6 +23,7 @@ from sphrom.case.fields import (
 )
 from sphrom.case.points import REYNOLDS, Interval, ReynoldsValues
 from sphrom.case.study_sections import FigureSection
+from sphrom.sph.walls.kinds import KINDS
 from sphrom.text import exact, repeated
 
 
@@ -66,23 +68,49 @@ class ShiftingSection(Section):
     )
 
 
+if TYPE_CHECKING:
+    WallKindName = str
+else:
+    WallKindName = Literal[tuple(KINDS)]
+
+EARLIER_KEYS: Mapping[str, tuple[str, str]] = {
+    "adjoint": ("linear", "adjoint"),
+    "normal": ("linear", "normal"),
+    "adami": ("whole", "normal"),
+    "adami-as-fluid": ("whole", "paper"),
+    "printed": ("paper", "paper"),
+    "printed-normal": ("paper", "normal"),
+}
+"""The values of the keys `no_slip` and `continuity` of earlier versions that a kind stands for."""
+
+
 class WallSection(Section):
     """The fields of the ghost particles of walls (Eq. 2.15-2.16)."""
 
-    no_slip: Literal["linear", "whole", "paper"] = key(
-        "linear",
-        "velocity of ghosts: linear, extrapolated from each particle through the wall (Morris et "
-        "al. 1997); whole, 2 U_wall - u of the interpolated velocity u (Adami et al. 2012); paper, "
-        "u with its tangential part reversed, as printed",
-    )
-    continuity: Literal["adjoint", "normal", "paper"] = key(
+    kind: WallKindName = key(
         "adjoint",
-        "walls in continuity: adjoint, minus the transpose of their pressure force; normal, the "
-        "normal part of ghosts' velocities only; paper, ghosts count like fluid",
+        "rule of walls: " + "; ".join(f"{name}, {kind.meaning}" for name, kind in KINDS.items()),
     )
     layers: Annotated[Whole, Field(ge=1, le=32)] | None = key(
         None, "layers of ghosts; null means as many as the kernel reaches"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_earlier_keys(cls, values: Any) -> Any:
+        """Replace the keys `no_slip` and `continuity` of earlier versions by the kind."""
+        earlier = ("no_slip", "continuity")
+        if not isinstance(values, Mapping) or values.keys().isdisjoint(earlier):
+            return values
+        given = dict(values)
+        # A given key changes one of the two that the kind stands for.
+        usual = EARLIER_KEYS.get(str(given.pop("kind", "adjoint")), ("", ""))
+        wanted = tuple(map(given.pop, earlier, usual))
+        for kind, meant in EARLIER_KEYS.items():
+            if meant == wanted:
+                return {**given, "kind": kind}
+        reason = "no rule of walls has no_slip: {} with continuity: {}".format(*wanted)
+        raise ValueError(f"{reason}; set kind to one of {', '.join(KINDS)}")
 
 
 class DiscretizationSection(Section):

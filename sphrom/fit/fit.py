@@ -57,8 +57,7 @@ SHOWN_DIGITS = 5
 SURE = 0.999
 """Probability that chi^2 of a correct model and noise stays below the limit for a warning."""
 TRUSTED = 4.0
-"""Largest part of chi^2 beyond noise, over the part that the estimated errors of the model explain;
-4 means errors twice as large."""
+"""Largest part of chi^2 beyond noise, over the part that the estimated errors explain."""
 MOST_MINIMA = 5
 """Most minima that the search refines with the model's errors."""
 WHOLLY = 0.99

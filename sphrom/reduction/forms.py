@@ -193,20 +193,23 @@ class Sound(Part):
 
 
 class Inertia(Part):
-    """Pressure, diffusion, damping, resistance and advection."""
+    """Pressure, diffusion, damping, resistance, the terms of a user, and advection."""
 
     is_quadratic = True
 
     def linear(self, of: LocalFields) -> Array:
-        """Return -c0 D u + delta h c0 L q, and -c0 G (q - alpha h D u) - (1 + K) lambda u."""
+        """Return -c0 D u + delta h c0 L q, and -c0 G (q - alpha h D u) + (1 + K) (A - lambda) u."""
         velocity = -self.sound_speed * of.pressure_gradient
         if (rate := self.points.slowing_rate) is not None:
             velocity -= rate[of.rows] * of.velocity
             velocity -= self.push_of_heads(rate * of.all_velocity, of.rows)
+        if (matrix := self.points.linear_term) is not None:
+            added = np.einsum("ijn,jkn->ikn", matrix, of.all_velocity)
+            velocity += added[..., of.rows] + self.push_of_heads(added, of.rows)
         return _rows(of.diffusion - self.sound_speed * of.divergence, velocity)
 
     def bilinear(self, by: LocalFields, of: LocalFields) -> Array:
-        """Return -q D u - u . grad q, and q G (q - alpha h D u) - u . grad u."""
+        """Return -q D u - u . grad q, and q G (q - alpha h D u) - u . grad u + (1 + K) B(u, u)."""
         q = by.scaled_density
         u, v = by.velocity
         compression = -q * of.divergence
@@ -214,6 +217,10 @@ class Inertia(Part):
         rows[0] = compression
         rows[1:] = -u * of.slopes[:, 0] - v * of.slopes[:, 1]
         rows[2:] += q * of.pressure_gradient
+        if (tensor := self.points.quadratic_term) is not None:
+            pairs = by.all_velocity[:, None] * of.all_velocity
+            added = np.einsum("ijkn,jkmn->imn", tensor, pairs)
+            rows[2:] += added[..., of.rows] + self.push_of_heads(added, of.rows)
         return rows
 
 

@@ -10,7 +10,9 @@ import itertools
 import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property, lru_cache, reduce
+from inspect import signature
 from types import MappingProxyType
 from typing import Any
 
@@ -37,10 +39,34 @@ MOST_INPUTS = 30
 CONSTANTS = {"pi": math.pi}
 History = Callable[[Array], Array]
 """Values at times [s]."""
+Histories = Mapping[str, "History | Function"]
 Given = Mapping[str, Array | float]
 """Values of variables."""
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function of Python."""
+
+    name: str
+    call: Callable[..., Any]
+
+    @property
+    def arguments(self) -> list[str]:
+        """The names of its arguments that have no default."""
+        given = signature(self.call).parameters.values()
+        return [one.name for one in given if one.default is one.empty]
+
+    def __call__(self, *values: Array) -> Array:
+        """Return its values in the shape of the arguments. Raises ValueError for another one."""
+        shape = np.broadcast_shapes(*(np.shape(value) for value in values))
+        found = np.asarray(self.call(*values), dtype=np.float64)
+        if found.shape not in ((), shape):
+            reason = f"must return values of the shape {shape}; got {found.shape}"
+            raise ValueError(f"{self.name}: {reason}")
+        return np.broadcast_to(found, shape)
 
 
 class Expression:
@@ -51,7 +77,7 @@ class Expression:
     text : the expression.
     variables : names whose values each evaluation passes.
     constants : values of further names.
-    histories : functions of the time t, by their names.
+    histories : functions of the time t, and functions of other arguments, by their names.
 
     Attributes
     ----------
@@ -65,7 +91,7 @@ class Expression:
         text: str,
         variables: tuple[str, ...],
         constants: Mapping[str, float] | None = None,
-        histories: Mapping[str, History] = MappingProxyType({}),
+        histories: Histories = MappingProxyType({}),
     ) -> None:
         self.text = text
         self._variables, self._histories = variables, histories
@@ -84,7 +110,7 @@ class Expression:
         parts = [self._like(ast.unparse(part)) for part in node.args]
         _ = [part.compiled if part.depends_on else part._fixed for part in parts]
         if name in self._histories:
-            return lambda given: self._histories[name](parts[0]._of(given))
+            return lambda given: self._histories[name](*[part._of(given) for part in parts])
         if name != "interp":
             chosen = np.minimum if name == "min" else np.maximum
             return lambda given: reduce(chosen, [part._of(given) for part in parts])
@@ -120,8 +146,9 @@ class Expression:
 
     def read(self) -> Iterator[tuple[str, Expression]]:
         """Yield the histories that the expression reads, each with its time."""
+        read = [n for n, one in self._histories.items() if not isinstance(one, Function)]
         for call in ast.walk(self._tree):
-            if isinstance(call, ast.Call) and _name(call) in self._histories:
+            if isinstance(call, ast.Call) and _name(call) in read:
                 yield _name(call), self._like(ast.unparse(call.args[0]))
 
     def compared(self) -> Iterator[Expression]:
@@ -294,7 +321,7 @@ def _short(node: ast.expr) -> str:
     return shortened(ast.unparse(node), MOST_QUOTED)
 
 
-def _check(whole: ast.expr, known: tuple[str, ...], histories: Collection[str]) -> None:
+def _check(whole: ast.expr, known: tuple[str, ...], histories: Histories) -> None:
     """Raise ValueError unless an expression has only numbers, known names and functions."""
     parts = [whole]
     for node in parts:  # the list grows during the loop
@@ -318,10 +345,15 @@ def _check(whole: ast.expr, known: tuple[str, ...], histories: Collection[str]) 
             raise ValueError(f"{_short(node)} is too large")
 
 
-def _arguments(node: ast.Call, histories: Collection[str]) -> list[ast.expr]:
+def _arguments(node: ast.Call, histories: Histories) -> list[ast.expr]:
     """Return the arguments of a call; a condition is replaced by its two sides."""
     name = _name(node)
     number = len(node.args)
+    if isinstance(function := histories.get(name), Function):
+        if number != len(function.arguments):
+            needed = ", ".join(function.arguments)
+            raise ValueError(f"{name} takes {needed}; got {number} arguments")
+        return node.args
     if name in histories:
         used = _names(node)
         if number != 1 or "t" not in used or used & {"x", "y"}:

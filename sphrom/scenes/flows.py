@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -23,6 +23,7 @@ from sphrom.arrays import Array
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Resistance
+from sphrom.sph.terms import Term
 
 VectorField = Callable[[Array], Array]
 """Vectors (n_points, 2) at positions (n_points, 2) [m]."""
@@ -83,6 +84,8 @@ class Scene(ABC):
     """The driving body force, if any."""
     resistance: Resistance | None = None
     """The resistance that slows the fluid, if any."""
+    terms: Sequence[Term] = ()
+    """Terms that a user adds to the acceleration."""
 
     @property
     @abstractmethod
@@ -142,6 +145,7 @@ class CustomFlow(Scene):
     resistance: Resistance | None = None
     wall_amplitudes: Mapping[str, Amplitude] = field(default_factory=dict)
     """Factors of the velocities of walls that change with time, by the walls' names."""
+    terms: Sequence[Term] = ()
 
     @property
     def domain(self) -> Domain:

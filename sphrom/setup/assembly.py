@@ -68,11 +68,7 @@ def field_measures(case: Case) -> dict[str, FieldMeasure]:
 def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:
     """Return the amplitude of a flow's driving at times; None if it does not change."""
     flow = case.plan.flow(point)
-    if flow.body_force is not None and flow.body_force.series is not None:
-        return flow.body_force.series
-    if (amplitude := flow.amplitude) is None:
-        return None
-    return lambda times: np.array([amplitude(float(t)) for t in times])
+    return None if flow.amplitude is None else lambda times: flow.driving(times)[0]
 
 
 def memory_length_of(

@@ -129,7 +129,12 @@ def decomposition_ram_limit() -> int:
 
 
 def runs_that_fit(case: Case, stage: str) -> int:
-    """Return how many runs of a stage fit this machine's cores and memory at the same time."""
+    """Return how many runs of a stage fit this machine's cores and memory at the same time.
+
+    Other processes do not have the functions of a flow, so its runs are made one by one.
+    """
+    if case.scene.has_functions:
+        return 1
     cores = len(os.sched_getaffinity(0))
     ram = available_ram()
     return cores if ram is None else max(1, min(cores, ram // needs(case)[stage].ram))

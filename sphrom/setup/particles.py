@@ -51,6 +51,7 @@ def functional(case: Case, point: ParameterPoint) -> Functional:
         body_force=flow.body_force,
         wall_speed=None if ghosts is None else flow.wall_speed(ghosts.position),
         resistance=flow.resistance,
+        terms=flow.terms,
     )
 
 
@@ -93,6 +94,8 @@ def watch(case: Case, point: ParameterPoint) -> Watch:
         head = case.scene.largest_head(case.time.final_time, point.factors)
         drive = math.hypot(drive, wide * strip.speed, math.sqrt(2.0 * head))
         force = None
+    if flow.terms:  # a term may do any work
+        drive = math.inf
     return Watch(
         case.fluid.reference_density,
         plan.sound_speed,
@@ -166,6 +169,7 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
         walls_driven=flow.wall_amplitude is not None,
         drives=drives(case, position),
         resistance=flow.resistance,
+        terms=flow.terms,
     )
 
 

@@ -26,8 +26,9 @@ that is not a polynomial is rho0/rho = 1 / (1 + q/c0). To first order it is 1 - 
 of three fields are neglected; to zeroth order K (1 + q/c0) b is K b too.
 
 Resistance adds -lambda u and its head, -K lambda u, to du/dt, and in porous bodies to nu V u; heads
-are computed with the density rho0. A strip (`sphrom.sph.fluid`) subtracts the mean e (e . a)
-from G q, V u and w: as D = -G^T and V = V^T, by products of q with -D e and of u with V e.
+are computed with the density rho0. The terms of a user, A u and B(u, u), likewise have heads. A
+strip (`sphrom.sph.fluid`) subtracts the mean e (e . a) from G q, V u and w: as D = -G^T and V =
+V^T, by products of q with -D e and of u with V e.
 
 Ghosts take as much momentum as they give. Per unit of time and depth, with m = rho0 V, the force
 on a ghost g of a wall is
@@ -43,7 +44,7 @@ Scalars are (n_points, n_fields), vectors (2, n_points, n_fields): columns are s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +54,8 @@ from scipy import sparse
 from sphrom.arrays import Array, Mask
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid, Resistance, UnitForcing
-from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, ghost_sums, row_sums
+from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, row_sums
+from sphrom.sph.terms import Term
 
 Rows = slice | NDArray[np.int64]
 """Some of the points."""
@@ -114,15 +116,17 @@ class FixedPoints:
     drives : by parameter, per unit of its value, the velocity of ghosts' walls (n_ghosts, 2) [m/s]
         and the body force (2, n_points) [m/s2], in addition to those above.
     resistance : the resistance that slows the fluid, if any.
+    terms : linear and quadratic terms that a user adds to the acceleration.
 
     Attributes
     ----------
     particle_mass : of the fluid that a point represents [kg/m].
     density_scale : c0/rho0, q over the density fluctuation [m4/(kg s)].
     fixed_volume : whether the mean of the continuity equation is subtracted.
+    linear_term, quadratic_term : the sums of A (2, 2, n_points) [1/s] and of B
+        (2, 2, 2, n_points) [1/m] of the terms; None if there are none.
 
-    Callers must refuse other readings of the paper than the default: pair viscosity, and ghosts at
-    walls whose velocities enter the continuity equation, or are not extrapolated.
+    Callers must refuse pair viscosity, and rules of walls without matrices (`WallKind`).
     """
 
     def __init__(
@@ -136,6 +140,7 @@ class FixedPoints:
         walls_driven: bool = False,
         drives: Mapping[str, UnitForcing[Array]] | None = None,
         resistance: Resistance | None = None,
+        terms: Sequence[Term] = (),
     ) -> None:
         self.position = domain.wrap(position)
         self.sound_speed = fluid.sound_speed
@@ -151,13 +156,18 @@ class FixedPoints:
         self._damping_length = discretization.acoustic_damping * length
         self.particle_mass = fluid.reference_density * discretization.particle_spacing**2
         self._fluid = fluid_sums(self.position, domain, discretization)
+        rule = discretization.walls.rule
         self._ghosts = (
-            None if walls is None else ghost_sums(self.position, walls, domain, discretization)
+            None if walls is None else rule.sums_at(self.position, walls, domain, discretization)
         )
         moment = self._fluid.moment + (0.0 if self._ghosts is None else self._ghosts.moment)
         self._viscous = -2.0 / moment
         self._laplacian = self._viscous_matrix()
         self._slow_down(resistance)
+        linear = [term.matrices(self.position) for term in terms if term.linear]
+        quadratic = [term.products(self.position) for term in terms if term.quadratic]
+        self.linear_term = sum(linear) if linear else None
+        self.quadratic_term = sum(quadratic) if quadratic else None
 
     def _viscous_matrix(self) -> Matrix:
         """Return V (n_points, n_points), alike for both components, without the strip's mean."""

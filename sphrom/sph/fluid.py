@@ -24,6 +24,7 @@ import numpy as np
 
 from sphrom.arrays import Array, Mask
 from sphrom.kernels import SUPPORT_RATIO
+from sphrom.sph.walls.kinds import KINDS, LARGEST_WAVE_NUMBER, WallKind
 
 T = TypeVar("T")
 Factors = Mapping[str, float]
@@ -53,12 +54,6 @@ COURANT_LIMIT = 1.5
 """Largest c0 dt / h (Eq. 2.19)."""
 VISCOUS_LIMIT = 0.125
 """Largest nu dt / h^2 (Morris, Fox and Zhu 1997)."""
-WALL_VISCOUS_LIMIT = 0.22
-"""Largest nu dt / (h dx) beside walls, where velocities are extrapolated from close by."""
-STIFFER_AT_CORNERS = 0.2
-"""Increase of the largest friction rate beside walls at a corner, over its sharpness."""
-LARGEST_WAVE_NUMBER = 1.4
-"""Largest resolved wave number of sound, times h: sqrt of the largest eigenvalue of -D G."""
 REAL_AXIS_LIMIT = 2.78
 """Stability limit of Eq. 2.18 on the negative real axis."""
 
@@ -108,16 +103,19 @@ class Discretization:
     """Whether to use Eq. 2.14 as printed, with the exponent outside the bracket."""
     shifting_transport: Literal["advective", "paper"] = "advective"
     """Transport by shifting: of differences, by a particle's own shift; or as printed."""
-    no_slip: Literal["linear", "whole", "paper", "free"] = "linear"
-    """The ghosts' velocity: extrapolated from each particle; twice the wall's less the fluid's; or
-    the fluid's with the tangential part reversed. Free slip reverses the normal part."""
-    wall_continuity: Literal["adjoint", "normal", "paper"] = "adjoint"
-    """Walls in the continuity equation: the transpose of their pressure force; or the velocities of
-    ghosts, along the wall's normal only, or like those of fluid."""
+    wall_kind: str = "adjoint"
+    """The rule of walls, of `sphrom.sph.walls.kinds`."""
+    free_slip: bool = False
+    """Whether fluid slips along walls without friction."""
     free_surface: bool = False
     """Whether ghosts near or above the surface are weighted by the share of fluid beside them."""
     fixed_volume: bool = False
     """Whether to subtract the mean of the continuity equation, so that volumes fill the domain."""
+
+    @property
+    def walls(self) -> WallKind:
+        """The rule of walls."""
+        return KINDS[self.wall_kind]
 
     @property
     def support_radius(self) -> float:
@@ -161,19 +159,22 @@ def step_limits(
     number, the shortest waves are overdamped, and their damping rate limits the step. Resistance,
     with the largest rate `resistance` [1/s], adds to this rate and to that of viscosity. Beside
     walls, the viscous limit also depends on the spacing, and on the sharpness of the sharpest
-    corner that juts into the fluid (`sphrom.sph.polygons.jutting_corners`).
+    corner that juts into the fluid (`sphrom.sph.polygons.jutting_corners`). The rule of walls has
+    the numbers.
     """
     length = discretization.smoothing_length
-    courant = COURANT_LIMIT
-    half = 0.5 * discretization.acoustic_damping * LARGEST_WAVE_NUMBER
-    half += 0.5 * resistance * length / (fluid.sound_speed * LARGEST_WAVE_NUMBER)
+    walls = discretization.walls
+    largest = walls.wave_number if has_walls else LARGEST_WAVE_NUMBER
+    courant = COURANT_LIMIT * (LARGEST_WAVE_NUMBER / largest)
+    half = 0.5 * discretization.acoustic_damping * largest
+    half += 0.5 * resistance * length / (fluid.sound_speed * largest)
     if half > 1.0:
         root = math.sqrt(half**2 - 1.0) if half < OVERFLOWING else half
-        rate = LARGEST_WAVE_NUMBER * (half + root)
+        rate = largest * (half + root)
         courant = min(courant, REAL_AXIS_LIMIT / rate)
     diffusion = VISCOUS_LIMIT * length**2
     if has_walls:
-        limit = WALL_VISCOUS_LIMIT / (1.0 + STIFFER_AT_CORNERS * sharpness)
+        limit = walls.viscous_limit / (1.0 + walls.stiffer_at_corners * sharpness)
         diffusion = min(diffusion, limit * length * discretization.particle_spacing)
     acoustic = courant * length / fluid.sound_speed
     viscous = diffusion / fluid.kinematic_viscosity

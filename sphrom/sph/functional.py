@@ -13,7 +13,7 @@ times the area. A straight side of the box contributes nothing at a uniform spee
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +25,9 @@ from sphrom.metrics.measures import TORQUE
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import ROUNDING, Discretization, Fluid, Resistance, step_limits, volume_of
 from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.terms import Term
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
-from sphrom.sph.walls import GhostParticles, WallTerms
+from sphrom.sph.walls.rule import WallTerms
 
 BodyForce = Callable[[Array, float], Array]
 """The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
@@ -78,14 +79,16 @@ class Functional:
     body_force: BodyForce | None = None
     wall_speed: WallSpeed | None = None
     resistance: Resistance | None = None
+    terms: Sequence[Term] = ()
 
     def __post_init__(self) -> None:
         fluid = self.fluid
         discretization = self.discretization
         domain = self.domain
+        rule = discretization.walls.rule
         self.ghosts = None
         if self.walls is not None:
-            self.ghosts = GhostParticles(self.walls, domain, fluid, discretization)
+            self.ghosts = rule(self.walls, domain, fluid, discretization)
         self.mass = fluid.reference_density * discretization.particle_spacing**2
         length = discretization.smoothing_length
         laplacian = discretization.viscosity == "laplacian"
@@ -105,7 +108,7 @@ class Functional:
             as_printed=1.0 if discretization.shifting_as_printed else 0.0,
             limit=0.5 * fluid.max_speed,
             damping=damping * fluid.reference_density,
-            walls_return=1.0 if discretization.wall_continuity == "adjoint" else 0.0,
+            walls_return=rule.returns_flux,
         )
         self._n_fields = fields.N_FIELDS
         self._sweep_rates = sweeps.rates
@@ -233,17 +236,22 @@ class Functional:
     ) -> tuple[WallTerms | None, Array | None]:
         """Return the wall terms, and the body force less resistance (2, n_particles) [m/s2].
 
+        The latter contains the terms of a user, too.
+
         The former are None without walls, the latter is None without force and resistance.
         """
         force = None if self.body_force is None else self.body_force(position, time)
         if self.resistance is not None:
             slowing = self.resistance.rates(position, self.fluid.kinematic_viscosity) * velocity
             force = -slowing if force is None else force - slowing
+        for term in self.terms:
+            added = term(self.domain.wrap(position.T), velocity, time)
+            force = added if force is None else force + added
         if self.ghosts is None:
             return None, force
         near = self.neighbourhood
         speed = 1.0 if self.wall_speed is None else self.wall_speed(time)
-        return self.ghosts.beside(near.sources, source, near.reach, force, speed), force
+        return self.ghosts.beside(near.sources, source, near.search, force, speed), force
 
     def advection(
         self, position: Array, density_fluctuation: Array, velocity: Array, time: float = 0.0

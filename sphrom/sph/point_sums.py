@@ -20,7 +20,6 @@ from sphrom.kernels.wendland import LAPLACIAN_SHAPE, weigh
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import periodic_images
-from sphrom.sph.walls import NEAREST, ghost_depths
 
 Matrix = Any
 """A sparse matrix in compressed rows."""
@@ -58,8 +57,6 @@ class GhostSums:
     """(2, n_points)."""
     friction: Matrix
     """The factor times the weight of the Laplacian and the stretch of extrapolated velocities."""
-    friction_sum: Array
-    """(n_points,) [1/m2]."""
     moment: Array
     """(n_points,) the second moment of the friction, without extrapolation."""
     mean: Matrix
@@ -155,9 +152,10 @@ def ghost_sums(
 ) -> GhostSums:
     """Return the sums between points (n_points, 2) [m] and the ghosts of walls."""
     blocks, moments = [], []
-    nearest = NEAREST * discretization.particle_spacing
+    rule = discretization.walls.rule
+    nearest = rule.nearest * discretization.particle_spacing
     distance = np.maximum(domain.wall_distance(position), nearest)
-    depth = ghost_depths(domain, walls.position, discretization)
+    depth = rule.depths(domain, walls.position, discretization)
     for pairs in _pair_blocks(position, walls.position, domain, discretization):
         x, y = pairs.offset
         stretch = 1.0 + depth[pairs.column] / distance[pairs.first + pairs.row]
@@ -174,7 +172,6 @@ def ghost_sums(
         gradient=(gradient_x, gradient_y),
         support=np.stack((row_sums(gradient_x), row_sums(gradient_y))),
         friction=friction,
-        friction_sum=row_sums(friction),
         moment=np.concatenate(moments),
         mean=mean,
         head=(mean_x, mean_y),

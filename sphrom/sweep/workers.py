@@ -131,6 +131,8 @@ class Workers:
     ) -> list[Failure]:
         """Make runs of a case at points, in tasks of `size` runs, and return the failures."""
         alone = self.number == 1 and self._client is None
+        if workspace.case.scene.has_functions and not alone:
+            raise CaseError("--workers: other processes don't have the functions of a flow; set 1")
         task = Task(
             case_text=workspace.case.text,
             case_folder=str(workspace.case.folder),

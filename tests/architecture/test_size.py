@@ -9,12 +9,14 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 289_000, 230
+TOKENS, MODULES = 291_500, 232
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
-TEST_LINES = 27_760
+TEST_LINES = 27_900
 LARGEST_SHARE = 0.16
 """Of a package's tokens in all."""
-SPLATS = 120
+LONGEST = 450
+"""Lines of a module."""
+SPLATS = 70
 """Ceiling of calls with a local tuple as positional arguments, which only sinks."""
 LAYOUT = (
     tokenize.COMMENT,
@@ -49,6 +51,7 @@ def test_the_package_stays_below_its_ceilings() -> None:
     total = sum(counts.values())
     assert total <= TOKENS
     assert len(counts) <= MODULES
+    assert [path.name for path in counts if len(path.read_text().splitlines()) > LONGEST] == []
     packages: Counter[str] = Counter()
     for path, count in counts.items():
         packages[path.relative_to(ROOT / "sphrom").parts[0]] += count

@@ -41,13 +41,33 @@ def test_case_of_the_paper_is_as_printed_but_for_its_sign_and_steps():
 def test_cavities_of_the_paper_are_as_printed_but_for_walls_and_steps(scene):
     case = load_case(next(path for path in CASES if path.stem == f"{scene}_paper"))
     walls = case.discretization.walls
-    assert (walls.no_slip, walls.continuity, walls.layers) == ("whole", "normal", 3)
+    assert (walls.kind, walls.layers) == ("adami", 3)
     assert case.discretization.smoothing_length_ratio == 2.0
     assert case.plan.reference_smoothing_length == case.plan.smoothing_length
     assert (case.fluid.reference_density, case.fluid.mach_number) == (1.0, 0.1)
     assert (case.basis.inner_product, case.plan.separate_mean_density) == ("raw", False)
     assert {model.advection for model in case.rom} == {"consistent"}
     assert {m.memory_length for m in case.rom if m.projection == "apg"} == {1e-7}
+
+
+@pytest.mark.parametrize(
+    ("scene", "given", "kind"),
+    [
+        ("lid_driven_cavity_demo", {"no_slip": "linear"}, "adjoint"),
+        ("lid_driven_cavity_demo", {"continuity": "normal"}, "normal"),
+        ("lid_driven_cavity_demo", {"no_slip": "paper", "continuity": "paper"}, "printed"),
+        ("lid_driven_cavity_paper", {"continuity": "paper"}, "adami-as-fluid"),
+        ("lid_driven_cavity_paper", {"no_slip": "paper"}, "printed-normal"),
+        ("sloshing", {"continuity": "adjoint"}, "adjoint"),
+        ("sloshing", {}, "normal"),
+    ],
+)
+def test_earlier_keys_of_walls_are_read_as_kinds(scene, given, kind):
+    (path,) = CASES[0].parent.rglob(f"{scene}.yaml")
+    overrides = {f"discretization.walls.{name}": value for name, value in given.items()}
+    case = load_case(path, overrides if "paper" in scene else {"rom": [], **overrides})
+    assert case.discretization.walls.kind == kind
+    assert "no_slip" not in resolved_yaml(case)
 
 
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)

@@ -67,7 +67,10 @@ def test_values_become_what_yaml_would_give():
     ("call", "text"),
     [
         (lambda: key_named(CASE, "evaluation"), "may be rom.0.evaluation; name one, such as set="),
-        (lambda: key_named(CASE, "kind"), "may be scene.kind or psi.kind"),
+        (
+            lambda: key_named(CASE, "kind"),
+            "may be scene.kind or discretization.walls.kind or psi.kind",
+        ),
         (lambda: key_named(CASE, "resolutoin"), "has no such key; did you mean resolution?"),
         (lambda: key_named(CASE, ""), "the case has no such key"),
         (lambda: plain_values({"a": {1, 2}}, "case"), "got set"),

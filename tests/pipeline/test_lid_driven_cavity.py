@@ -115,13 +115,13 @@ def test_local_bases_are_those_of_the_intervals(copied, sphrom, digests):
 @pytest.mark.parametrize(
     "changes",
     [
-        ("discretization.walls.no_slip=paper", "discretization.walls.continuity=paper",
-         "discretization.walls.layers=3", "discretization.viscosity=paper",
+        ("discretization.walls.kind=printed", "discretization.walls.layers=3",
+         "discretization.viscosity=paper",
          "discretization.fixed_volume=false", "discretization.shifting.form=paper",
          "discretization.shifting.transport=paper", "reference.method=shepard",
          "basis.inner_product=raw", "basis.mean_density=in-modes", "psi.polynomial_degree=1",
          "rom.0.projection=apg", "rom.0.memory_length=1e-7", "rom.0.advection=paper"),
-        ("discretization.walls.continuity=normal", "scene.lid=uniform"),
+        ("discretization.walls.kind=normal", "scene.lid=uniform"),
         ("discretization.walls.layers=6", "reference.points=lattice"),
         ("reference.points=relaxed", "basis.lagrangian=true", "rom.0.projection=apg"),
     ],
@@ -141,7 +141,7 @@ def test_options_run_through(written, sphrom, errors_of, changes):
 def test_a_particle_beyond_a_wall_ends_the_run(written, sphrom):
     """With walls as printed, the lid sucks particles through at its upstream corner."""
     out = written(CASE)
-    leaking = ("rom=[]", "discretization.walls.continuity=paper",
+    leaking = ("rom=[]", "discretization.walls.kind=printed",
                "discretization.shifting.enabled=false")  # fmt: skip
     result = sphrom(
         "run", "lid.yaml", *ALONE, *(w for key in leaking for w in ("--set", key)), code=4

@@ -125,7 +125,7 @@ def test_a_particle_beyond_a_wall_ends_the_spin_up(written, sphrom):
     "changes",
     [
         (
-            "discretization.walls.continuity=normal",
+            "discretization.walls.kind=normal",
             "basis.mean_density=separate",
             "rom.0.time_step=1e-3",
         ),

@@ -65,6 +65,17 @@ CORNERS = {
 """Corners that jut into the fluid, by hand, with images, and how sharp they are."""
 
 
+RULES = {
+    "adjoint": ("linear", "adjoint"),
+    "normal": ("linear", "normal"),
+    "adami": ("whole", "normal"),
+    "adami-as-fluid": ("whole", "paper"),
+    "printed": ("paper", "paper"),
+    "printed-normal": ("paper", "normal"),
+}
+"""What each rule of walls does for no slip, and in the continuity equation."""
+
+
 def lid(position: Array) -> Array:
     """Return the velocity of walls whose lid moves along itself, and a little up."""
     x, y = position.T
@@ -195,7 +206,8 @@ class WallSums:
         nearest = 0.5 * discretization.particle_spacing
         from_wall, depth = distances(domain, self.fluid.position, self.walls.position)
         self.depth = depth
-        if discretization.wall_continuity == "adjoint":
+        self.no_slip, self.continuity = RULES[discretization.wall_kind]
+        if self.continuity == "adjoint":
             self.depth *= gains(domain, self.walls.position, discretization.smoothing_length)
         self.from_wall = np.maximum(from_wall, nearest)
 
@@ -218,9 +230,9 @@ class WallSums:
     def _ghost_velocity(self, mean: Array) -> Array:
         """What ghosts have for all particles alike; where it is extrapolated, their wall's."""
         wall, normal = self.walls.velocity, self.walls.normal
-        if self.functional.discretization.no_slip == "linear":
+        if self.no_slip == "linear":
             return wall
-        if self.functional.discretization.no_slip == "whole":
+        if self.no_slip == "whole":
             return 2.0 * wall - mean
         out = []
         for u, w, (across_x, across_y) in zip(mean, wall, normal, strict=True):
@@ -235,14 +247,14 @@ class WallSums:
     def apart(self, ghosts: GhostFields) -> Array:
         """u_g - u_i (n_particles, n_sources, 2)."""
         apart = self.ghosts.images(ghosts.velocity)[None] - self.velocity[:, None]
-        if self.functional.discretization.no_slip != "linear":
+        if self.no_slip != "linear":
             return apart
         return (1.0 + self.ghosts.images(self.depth) / self.from_wall[:, None])[..., None] * apart
 
     def divergence(self, ghosts: GhostFields) -> Array:
         """The ghosts' part of the velocity's divergence (n_particles,), without shifting."""
         volume = self.ghosts.images(ghosts.volume)
-        reading = self.functional.discretization.wall_continuity
+        reading = self.continuity
         if reading == "adjoint":
             support = np.einsum("igd,g->id", self.gradient, volume)
             offset = self.fluid.offsets(self.walls.position)

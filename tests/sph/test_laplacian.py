@@ -9,7 +9,6 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import REAL_AXIS_LIMIT, Discretization, Fluid, step_limits
-from sphrom.sph.functional import Functional
 from sphrom.sph.polygons import jutting_corners
 
 FLUID = Fluid(reference_density=1.0, sound_speed=10.0, kinematic_viscosity=1.0, max_speed=1.0)
@@ -68,30 +67,6 @@ def test_exact_for_quadratic_fields_on_a_lattice(ratio: float) -> None:
     assert np.count_nonzero(inside) >= 16
     fields = np.stack((x**2, y**2, x * y, 3.0 * x - y + 2.0), axis=1)
     assert np.max(np.abs(laplacian(points, fields)[inside] - [2.0, 2.0, 0.0, 0.0])) < 1e-9
-
-
-@pytest.mark.parametrize("ratio", [1.5, 2.0, 4.0])
-def test_shear_along_flat_walls_has_no_friction(ratio: float) -> None:
-    """Extrapolated, u = y is a linear field through both walls of a channel, one of which moves."""
-    n = 20
-    position = CHANNEL.fill(1.0 / n)
-    found = {}
-    for no_slip in ("linear", "whole"):
-        options = Discretization(
-            1.0 / n,
-            ratio / n,
-            acoustic_damping=1.0,
-            no_slip=no_slip,  # type: ignore[arg-type]
-        )
-        walls = CHANNEL.ghosts(1.0 / n, options.n_layers).moving(
-            lambda at: np.outer(at[:, 1] > 1.0, [1.0, 0.0])
-        )
-        functional = Functional(FLUID, options, CHANNEL, walls)
-        state = np.vstack((position.T, np.zeros((3, len(position)))))
-        state[3] = state[1]
-        found[no_slip] = np.max(np.abs(functional(state)[3:]))
-    assert found["linear"] < 1e-10
-    assert found["whole"] > 0.1
 
 
 @pytest.mark.parametrize("ratio", [1.5, 2.0, 3.0, 4.0])

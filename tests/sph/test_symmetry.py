@@ -61,8 +61,8 @@ def test_turns_and_mirrors(state: np.ndarray, name: str, options: dict) -> None:
     "options",
     [
         {"acoustic_damping": 1.0, "fixed_volume": True},
-        {"wall_continuity": "normal", "no_slip": "paper"},
-        {"no_slip": "whole", "shifting_transport": "paper"},
+        {"wall_kind": "printed-normal"},
+        {"wall_kind": "adami", "shifting_transport": "paper"},
     ],
     ids=["default", "normal", "whole"],
 )

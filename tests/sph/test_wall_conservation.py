@@ -10,6 +10,7 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.time_loop import runge_kutta_step
+from sphrom.sph.walls.kinds import KINDS
 
 SPACING = 0.0625
 FLUID = Fluid(800.0, 7.0, 0.013, 0.9)
@@ -66,16 +67,12 @@ def test_the_damper_takes_the_square_of_the_divergence(
 
 @pytest.mark.parametrize("lid", ["regularised", "uniform"])
 @pytest.mark.parametrize(
-    ("continuity", "is_a_sink"), [("adjoint", False), ("normal", False), ("paper", True)]
+    ("kind", "is_a_sink"), [("adjoint", False), ("normal", False), ("adami-as-fluid", True)]
 )
-def test_a_lid_that_starts_moves_no_mass(lid: str, continuity: str, is_a_sink: bool) -> None:
+def test_a_lid_that_starts_moves_no_mass(lid: str, kind: str, is_a_sink: bool) -> None:
     """As printed, ghosts count as fluid: density falls where the lid's speed grows along it."""
     scene = LidDrivenCavity(1.0, 1.0, lid)  # type: ignore[arg-type]
-    discretization = Discretization(
-        SPACING,
-        2.0 * SPACING,
-        wall_continuity=continuity,  # type: ignore[arg-type]
-    )
+    discretization = Discretization(SPACING, 2.0 * SPACING, wall_kind=kind)
     walls = scene.domain.ghosts(SPACING, discretization.n_layers).moving(scene.wall_velocity)
     functional = Functional(Fluid(1.0, 10.0, 0.01, 1.0), discretization, scene.domain, walls)
     position = scene.domain.fill(SPACING)
@@ -92,9 +89,9 @@ def test_a_lid_that_starts_moves_no_mass(lid: str, continuity: str, is_a_sink: b
 
 
 @pytest.mark.parametrize("name", ["lid", "forced box", "forced cavity"])
-@pytest.mark.parametrize("continuity", ["adjoint", "normal", "paper"])
-def test_volumes_keep_filling_the_domain(scenes: dict, name: str, continuity: str) -> None:
-    options = {"wall_continuity": continuity, "acoustic_damping": 1.0}
+@pytest.mark.parametrize("kind", KINDS)
+def test_volumes_keep_filling_the_domain(scenes: dict, name: str, kind: str) -> None:
+    options = {"wall_kind": kind, "acoustic_damping": 1.0}
     state = scenes[name].state(seed=2)
     changes = {}
     for fixed in (True, False):
@@ -186,11 +183,11 @@ def hydrostatic(n: int, gravity: float, **options) -> tuple[Functional, np.ndarr
     return Functional(fluid, discretization, box, walls, force), state
 
 
-@pytest.mark.parametrize("continuity", ["adjoint", "normal"])
-def test_fluid_at_rest_stays_so_under_gravity(continuity: str) -> None:
+@pytest.mark.parametrize("kind", ["adjoint", "normal"])
+def test_fluid_at_rest_stays_so_under_gravity(kind: str) -> None:
     """Measured over 0.5 s, in which free fall gives 0.5 m/s: speeds of 2.3e-4 m/s at most."""
     gravity = 1.0
-    functional, state = hydrostatic(16, gravity, wall_continuity=continuity, **EVERYTHING)
+    functional, state = hydrostatic(16, gravity, wall_kind=kind, **EVERYTHING)
     step = 0.5 * functional.discretization.smoothing_length / functional.fluid.sound_speed
     speeds = []
     for n in range(round(0.5 / step)):

@@ -10,8 +10,7 @@ import pytest
 
 NAMES = ["box", "lid", "forced box", "cavity", "forced cavity"]
 AS_PRINTED = {
-    "wall_continuity": "paper",
-    "no_slip": "paper",
+    "wall_kind": "printed",
     "viscosity": "pair",
     "shifting_as_printed": True,
     "shifting_transport": "paper",
@@ -25,15 +24,11 @@ def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
 
 OPTIONS = {
     "default": {"acoustic_damping": 1.0, "fixed_volume": True},
-    "normal": {
-        "wall_continuity": "normal",
-        "shifting_transport": "paper",
-        "acoustic_damping": 0.7,
-    },
-    "normal, paper's no-slip": {"wall_continuity": "normal", "no_slip": "paper"},
-    "paper's continuity": {"wall_continuity": "paper", "acoustic_damping": 0.7},
-    "whole": {"no_slip": "whole", "acoustic_damping": 1.0},
-    "whole, pair": {"no_slip": "whole", "shifting_transport": "paper", "viscosity": "pair"},
+    "normal": {"wall_kind": "normal", "shifting_transport": "paper", "acoustic_damping": 0.7},
+    "printed-normal": {"wall_kind": "printed-normal"},
+    "adami-as-fluid": {"wall_kind": "adami-as-fluid", "acoustic_damping": 0.7},
+    "adami": {"wall_kind": "adami", "acoustic_damping": 1.0},
+    "adami, pair": {"wall_kind": "adami", "shifting_transport": "paper", "viscosity": "pair"},
     "printed shifting": {"shifting_transport": "paper"},
     "as printed": AS_PRINTED,
     "neither": {"shifting": False, "diffusion_coefficient": 0.0, "viscosity": "pair"},
@@ -50,7 +45,9 @@ def test_equals_the_printed_sums(
 
 
 @pytest.mark.parametrize(
-    "options", [{"acoustic_damping": 1.0}, {"no_slip": "whole"}, {"viscosity": "pair"}], ids=str
+    "options",
+    [{"acoustic_damping": 1.0}, {"wall_kind": "adami-as-fluid"}, {"viscosity": "pair"}],
+    ids=str,
 )
 def test_walls_of_any_shape(scenes: dict, wall_sums: Callable, options: dict) -> None:
     scene = scenes["shapes"]
@@ -62,36 +59,32 @@ def test_walls_of_any_shape(scenes: dict, wall_sums: Callable, options: dict) ->
 
 @pytest.mark.parametrize("name", ["lid", "forced cavity"])
 @pytest.mark.parametrize("ratio", [1.5, 4.0])
-@pytest.mark.parametrize("continuity", ["adjoint", "paper"])
-def test_any_support(
-    scenes: dict, wall_sums: Callable, name: str, ratio: float, continuity: str
-) -> None:
+@pytest.mark.parametrize("kind", ["adjoint", "adami-as-fluid"])
+def test_any_support(scenes: dict, wall_sums: Callable, name: str, ratio: float, kind: str) -> None:
     """At h = 4 dx the kernel reaches right through the solid beside the cavity."""
     scene = scenes[name]
-    functional = scene.functional(ratio, wall_continuity=continuity)
+    functional = scene.functional(ratio, wall_kind=kind)
     wall_sums(functional, scene.state(seed=2)).check()
 
 
-@pytest.mark.parametrize("continuity", ["adjoint", "normal"])
-def test_any_number_of_layers(scenes: dict, wall_sums: Callable, continuity: str) -> None:
+@pytest.mark.parametrize("kind", ["adjoint", "normal"])
+def test_any_number_of_layers(scenes: dict, wall_sums: Callable, kind: str) -> None:
     """Fewer layers than the kernel reaches are fewer ghosts, nothing else; more change nothing."""
     scene = scenes["lid"]
     state = scene.state(seed=3)
-    few, enough, more = (
-        scene.functional(layers=layers, wall_continuity=continuity) for layers in (2, 4, 6)
-    )
+    few, enough, more = (scene.functional(layers=layers, wall_kind=kind) for layers in (2, 4, 6))
     wall_sums(few, state).check()
     assert_close(more(state), enough(state))
     assert np.max(np.abs(few(state) - enough(state))) > 1e-3 * np.max(np.abs(enough(state)))
 
 
-@pytest.mark.parametrize("continuity", ["adjoint", "paper"])
+@pytest.mark.parametrize("kind", ["adjoint", "adami-as-fluid"])
 def test_fluid_that_has_crossed_the_seam_still_feels_the_walls(
-    scenes: dict, wall_sums: Callable, continuity: str
+    scenes: dict, wall_sums: Callable, kind: str
 ) -> None:
     """Along the periodic axis particles leave the box between two builds of the list."""
     scene = scenes["forced cavity"]
-    functional = scene.functional(wall_continuity=continuity)
+    functional = scene.functional(wall_kind=kind)
     spacing = functional.discretization.particle_spacing
     (low, _), (high, _) = scene.domain.lower, scene.domain.upper
     state = scene.state(seed=4)
@@ -118,12 +111,12 @@ def test_whole_turns_along_the_periodic_axis_change_nothing(scenes: dict) -> Non
 
 
 @pytest.mark.parametrize("name", ["lid", "cavity"])
-@pytest.mark.parametrize("no_slip", ["linear", "whole", "paper"])
+@pytest.mark.parametrize("kind", ["adjoint", "adami", "printed"])
 def test_advection_equals_the_printed_sums(
-    scenes: dict, wall_sums: Callable, name: str, no_slip: str
+    scenes: dict, wall_sums: Callable, name: str, kind: str
 ) -> None:
     scene = scenes[name]
-    functional, state = scene.functional(no_slip=no_slip), scene.state(seed=7)
+    functional, state = scene.functional(wall_kind=kind), scene.state(seed=7)
     density, velocity = wall_sums(functional, state).advection()
     carried = functional.advection(state[:2], state[2], state[3:])
     assert_close(carried[0], density)
@@ -135,7 +128,7 @@ def test_ghosts_that_see_no_fluid_do_nothing(scenes: dict, wall_sums: Callable) 
     scene = scenes["lid"]
     state = scene.state(seed=8)
     state = np.ascontiguousarray(state[:, state[1] < 0.6])
-    for options in ({}, {"wall_continuity": "normal"}):
+    for options in ({}, {"wall_kind": "normal"}):
         functional = scene.functional(**options)
         assert np.isfinite(functional(state)).all()
         wall_sums(functional, state).check()

@@ -9,6 +9,7 @@ import pytest
 
 from sphrom.sph.domain import Domain
 from sphrom.sph.functional import Functional
+from sphrom.sph.walls.kinds import KINDS
 
 SPACING = 0.0625
 
@@ -75,11 +76,11 @@ def test_layers_complete_the_kernel(
         assert 0.045 < missing < 0.12
 
 
-@pytest.mark.parametrize("no_slip", ["linear", "whole", "paper"])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("speed", [0.6, 0.0])
-def test_walls_move_as_fast_as_the_time_has_it(scenes: dict, no_slip: str, speed: float) -> None:
+def test_walls_move_as_fast_as_the_time_has_it(scenes: dict, kind: str, speed: float) -> None:
     scene = scenes["lid"]
-    usual = scene.functional(no_slip=no_slip)
+    usual = scene.functional(wall_kind=kind)
     walls = usual.ghosts.walls
     timed, given = (
         Functional(usual.fluid, usual.discretization, scene.domain, of, wall_speed=share)
@@ -89,7 +90,7 @@ def test_walls_move_as_fast_as_the_time_has_it(scenes: dict, no_slip: str, speed
         )
     )
     state = scene.state(5)
-    if no_slip == "paper" and speed == 0.0:
+    if kind.startswith("printed") and speed == 0.0:
         # As printed, walls that move keep their speed, and those at rest turn the fluid's round: a
         # lid about to start is one of the first.
         assert not np.allclose(timed(state, 2.0), given(state))

@@ -20,8 +20,7 @@ Array = NDArray[np.float64]
 
 COURANT = 0.75
 AS_PRINTED = {
-    "wall_continuity": "paper",
-    "no_slip": "paper",
+    "wall_kind": "printed",
     "shifting_transport": "paper",
     "fixed_volume": False,
 }

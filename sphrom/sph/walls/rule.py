@@ -2,13 +2,15 @@
 
 After Adami, Hu and Adams (J. Comput. Phys. 231, 2012). Ghosts fill the lattice beyond the fluid's
 domain to the depth of the kernel's reach. A ghost's pressure is interpolated from the fluid, with
-the weight of the fluid in between added. Its velocity is extrapolated from each particle through
-the wall, so that the velocity at the wall is the wall's (Morris, Fox and Zhu, J. Comput. Phys. 136,
-1997). The alternative, twice the wall's velocity less the interpolated one, lags behind the shear:
-for a regularised lid at 50x50 its error is up to 0.02 of the lid's speed, compared with 0.004.
+the weight of the fluid in between added. A rule decides their velocity and their share in the
+continuity equation; it may replace any other method of `WallRule`, too.
 """
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import shapely
@@ -25,46 +27,28 @@ from sphrom.sph.fluid import Discretization, Fluid, fluctuation_of, volume_of
 from sphrom.sph.neighbourhood import MOVE_RATIO, Sources, sort_sources
 from sphrom.sph.polygons import jutting_corners
 
+if TYPE_CHECKING:
+    from sphrom.sph.point_sums import GhostSums
+
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """Distances from a wall over the spacing: the least allowed; the first layer's; the second's."""
 SHARE_SLOPE = 0.78
 """Integral of the kernel along a line through its centre, times the smoothing length."""
 THIN_SHARE = 0.2
 """Of the kernel's sum, from which ghosts below thin fluid count fully."""
-NEAREST = 0.5
-"""Least distance from a wall, over the spacing, for the extrapolation of velocities."""
 
 
-AT_CORNERS = 3.0
-"""Relative increase of the ghosts' depth at a right angle. It gives slow flow past a square the
-right flow rate at any resolution, and by the rule of `ghost_depths` that past other polygons."""
-
-
-def ghost_depths(domain: Domain, ghost: Array, discretization: Discretization) -> Array:
-    """Return the depths (n_ghosts,) [m] of ghosts (n_ghosts, 2) [m] for velocity extrapolation.
-
-    They are distances from the fluid d, increased behind corners that jut into it. There friction
-    is singular (Moffatt, J. Fluid Mech. 18, 1964), and particles a spacing apart resolve only part
-    of it, so a solid acts as if it were smaller. The missing part has one form for all flows past
-    one angle, and one number compensates for it: d (1 + 3 tan^2(turn / 2) W(r) / W(0)), r from the
-    corner. If ghosts' velocities enter the continuity equation, the depth is d alone: the increase
-    would act as a source of mass.
-    """
-    depth = np.maximum(-domain.distance_and_normal(ghost)[0], 0.0)
-    if discretization.wall_continuity != "adjoint":
-        return depth
-    corner, sharpness = jutting_corners(domain.fluid_with_images, discretization.particle_spacing)
-    near, which = shapely.STRtree(shapely.points(corner)).query(
-        shapely.points(ghost), predicate="dwithin", distance=discretization.support_radius
-    )
-    q = np.hypot(*(ghost[near] - corner[which]).T) / discretization.smoothing_length
-    gain = np.zeros_like(depth)
-    np.maximum.at(gain, near, AT_CORNERS * sharpness[which] * (1 - 0.5 * q) ** 4 * (1 + 2 * q))
-    return depth * (1.0 + gain)
-
-
-class GhostParticles:
+class WallRule(ABC):
     """The ghosts of a scene's walls, which take their fields from the fluid beside them."""
+
+    returns_flux: ClassVar[float] = 0.0
+    """1 if walls return the flux into them, 0 if the velocities of ghosts enter continuity."""
+    extrapolates: ClassVar[bool] = True
+    """Whether velocities are extrapolated from each particle through the wall."""
+    deeper_at_corners: ClassVar[float] = 0.0
+    """Relative increase of the ghosts' depth at a right angle."""
+    nearest: ClassVar[float] = 0.5
+    """Least distance from a wall, over the spacing, for the extrapolation of velocities."""
 
     def __init__(
         self, walls: Walls, domain: Domain, fluid: Fluid, discretization: Discretization
@@ -75,13 +59,14 @@ class GhostParticles:
         self.discretization = discretization
         self.search_walls = domain.wall_search(spacing)
         self._depth: Array | float = 0.0
-        if discretization.no_slip == "linear":
-            self._depth = ghost_depths(domain, walls.position, discretization)
+        if self.extrapolates and not discretization.free_slip:
+            self._depth = self.depths(domain, walls.position, discretization)
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
         # Walls not parallel to the axes are treated like corners: normal to both axes.
         normal = np.ones_like(walls.position) if walls.normal is None else walls.normal
-        self._normal = np.ascontiguousarray(normal.T)
+        self.normal = np.ascontiguousarray(normal.T)
+        """(2, n_ghosts), 1 along the normals of their walls, else 0."""
         self._into_fluid = domain.distance_and_normal(walls.position)[1].T
         # Fluid may have left the box along a periodic axis since the last wrap.
         margin = discretization.support_radius + 2.0 * MOVE_RATIO * spacing
@@ -98,10 +83,15 @@ class GhostParticles:
         near = sort_sources(lattice, domain, reach, spacing)
         source = np.zeros((fields.N_FIELDS, near.particle.size))
         gather(near.particle, near.image, lattice, fields.X, source)
+        return self.interpolated(source, near.search(reach, self.discretization.smoothing_length))[
+            3
+        ]
+
+    def interpolated(self, source: Array, search: Search) -> Array:
+        """Return the rows (5, n_ghosts) of `ghost_fields.ghost_means`."""
         means = np.empty((5, self._position.shape[1]))
-        search = near.search(reach, self.discretization.smoothing_length)
         ghost_fields.ghost_means(self._position, source, search, means)
-        return means[3]
+        return means
 
     def _below_surface(self, weights: Array, depth: Array) -> Array:
         """Return the share (n_ghosts,) of each ghost's cell that is below the free surface.
@@ -131,7 +121,7 @@ class GhostParticles:
         self,
         sources: Sources,
         source: Array,
-        reach: float,
+        search: Search,
         body_force: Array | None,
         wall_speed: float | Array = 1.0,
     ) -> WallTerms:
@@ -140,14 +130,11 @@ class GhostParticles:
         Parameters
         ----------
         sources, source : of the fluid, with fields laid out as in `sphrom.kernels.fields`.
-        reach : search radius for the fluid [m].
+        search : with which ghosts search the fluid.
         body_force : (2, n_particles) [m/s2], or None.
         wall_speed : factor of the walls' velocity, or one for each ghost (n_ghosts,).
         """
-        search = sources.search(reach, self.discretization.smoothing_length)
-        means = np.empty((5, self._position.shape[1]))
-        ghost_fields.ghost_means(self._position, source, search, means)
-        fluctuation, u, v, weights, flux = means
+        fluctuation, u, v, weights, flux = self.interpolated(source, search)
         share: Array | float = 1.0
         if body_force is not None:
             density = self.fluid.reference_density + source[fields.DENSITY]
@@ -165,36 +152,72 @@ class GhostParticles:
         ghost = np.zeros((fields.N_GHOST_ROWS, fluctuation.size))
         ghost[:2] = self._position
         ghost[fields.DENSITY] = fluctuation
-        ghost[fields.U : fields.V + 1] = self._velocity(np.stack((u, v)), wall_speed)
+        wall = wall_speed * self.walls.velocity.T
+        velocity = self.slipping if self.discretization.free_slip else self.velocity
+        ghost[fields.U : fields.V + 1] = velocity(np.stack((u, v)), wall)
         ghost[fields.VOLUME] = volume
         ghost[fields.PRESSURE] = fluctuation
         ghost[fields.DEPTH] = self._depth
-        if self.discretization.wall_continuity == "adjoint":
-            has_fluid = weights > 0.0
-            np.divide(volume * flux, weights, out=ghost[fields.RETURN], where=has_fluid)
-        else:
-            normal = 1.0 if self.discretization.wall_continuity == "paper" else self._normal
-            ghost[fields.NORMAL_X : fields.NORMAL_Y + 1] = normal
+        self.enter_continuity(ghost, weights, flux)
         return WallTerms(self, sources, source, ghost, weights, search)
 
-    def _velocity(self, mean: Array, wall_speed: float | Array) -> Array:
-        """Return the ghosts' velocity (2, n_ghosts), given the fluid's interpolated one [m/s]."""
-        wall = wall_speed * self.walls.velocity.T
-        if self.discretization.no_slip == "linear":
-            return wall
-        if self.discretization.no_slip == "whole":
-            return 2.0 * wall - mean
-        if self.discretization.no_slip == "free":
-            if self.walls.normal is None:
-                return (
-                    mean - 2.0 * np.sum((mean - wall) * self._into_fluid, axis=0) * self._into_fluid
-                )
-            return mean - 2.0 * self._normal * (mean - wall)
-        # As printed: walls at rest reverse the tangential part, moving ones keep their speed.
-        corner = self._normal.all(axis=0)
-        mirrored = np.where(corner, -mean, (2.0 * self._normal - 1.0) * mean)
-        moves = np.any(self.walls.velocity.T != 0.0, axis=0)
-        return np.where(moves, wall, mirrored)
+    @classmethod
+    def depths(cls, domain: Domain, ghost: Array, discretization: Discretization) -> Array:
+        """Return the depths (n_ghosts,) [m] of ghosts (n_ghosts, 2) [m], to extrapolate velocities.
+
+        They are distances from the fluid d, increased behind corners that jut into it. There
+        friction is singular (Moffatt, J. Fluid Mech. 18, 1964), and particles a spacing apart
+        resolve only part of it, so a solid acts as if it were smaller. The missing part has one
+        form for all flows past one angle, and one number compensates for it:
+        d (1 + 3 tan^2(turn / 2) W(r) / W(0)), r from the corner.
+        """
+        depth = np.maximum(-domain.distance_and_normal(ghost)[0], 0.0)
+        if cls.deeper_at_corners == 0.0:
+            return depth
+        corner, sharpness = jutting_corners(
+            domain.fluid_with_images, discretization.particle_spacing
+        )
+        near, which = shapely.STRtree(shapely.points(corner)).query(
+            shapely.points(ghost), predicate="dwithin", distance=discretization.support_radius
+        )
+        q = np.hypot(*(ghost[near] - corner[which]).T) / discretization.smoothing_length
+        deeper = cls.deeper_at_corners * sharpness[which] * (1 - 0.5 * q) ** 4 * (1 + 2 * q)
+        gain = np.zeros_like(depth)
+        np.maximum.at(gain, near, deeper)
+        return depth * (1.0 + gain)
+
+    def velocity(self, mean: Array, wall: Array) -> Array:
+        """Return the ghosts' velocity (2, n_ghosts) [m/s]; one that is extrapolated is the wall's.
+
+        `mean` is the interpolated one of the fluid, `wall` the walls', both (2, n_ghosts) [m/s].
+        """
+        return wall
+
+    def slipping(self, mean: Array, wall: Array) -> Array:
+        """Return the same where fluid slips freely: the part across the wall is reversed."""
+        if self.walls.normal is None:
+            into_fluid = self._into_fluid
+            return mean - 2.0 * np.sum((mean - wall) * into_fluid, axis=0) * into_fluid
+        return mean - 2.0 * self.normal * (mean - wall)
+
+    @abstractmethod
+    def enter_continuity(self, ghost: Array, weights: Array, flux: Array) -> None:
+        """Set the rows of ghosts for their share in the continuity equation (`wall_sweeps.py`).
+
+        Parameters
+        ----------
+        ghost : (n_fields, n_ghosts) with all other rows.
+        weights, flux : (n_ghosts,) the sum of the kernel [1/m2]; the flux towards the ghost [1/s].
+        """
+
+    @classmethod
+    def sums_at(
+        cls, position: Array, walls: Walls, domain: Domain, discretization: Discretization
+    ) -> GhostSums:
+        """Return the matrices between fixed points (n_points, 2) [m] and the ghosts of walls."""
+        from sphrom.sph.point_sums import ghost_sums  # importing scipy.sparse takes long
+
+        return ghost_sums(position, walls, domain, discretization)
 
     def gathered(self, ghost: Array) -> Array:
         """Return fields (n_fields, n_ghosts) as sources, including periodic images."""
@@ -204,90 +227,82 @@ class GhostParticles:
         return source
 
 
+@dataclass(eq=False)
 class WallTerms:
-    """The contributions of ghosts to the sums of particles near walls.
+    """The contributions of ghosts to the sums of particles near walls."""
 
-    Parameters
-    ----------
-    sources, source : of the fluid.
-    ghost : (n_fields, n_ghosts) the fields of ghosts.
-    weights : (n_ghosts,) the sum of the kernel at ghosts [1/m2].
-    search : with which ghosts search the fluid.
-    """
+    ghosts: WallRule
+    sources: Sources
+    source: Array
+    """The fields of the fluid's sources."""
+    ghost: Array
+    """(n_fields, n_ghosts) the fields of ghosts."""
+    weights: Array
+    """(n_ghosts,) the sum of the kernel at ghosts [1/m2]."""
+    search: Search
+    """With which ghosts search the fluid."""
 
-    def __init__(
-        self,
-        ghosts: GhostParticles,
-        sources: Sources,
-        source: Array,
-        ghost: Array,
-        weights: Array,
-        search: Search,
-    ) -> None:
-        self._ghosts = ghosts
-        self._sources = sources
-        self._source = source
-        self._ghost = ghost
-        self._weights = weights
-        self._fluid_search = search
-        self._gathered = ghosts.gathered(ghost)
+    def __post_init__(self) -> None:
+        ghosts = self.ghosts
+        sources = self.sources
+        self._gathered = ghosts.gathered(self.ghost)
         discretization = ghosts.discretization
-        distance = ghosts.search_walls.distances(sources.targets, source)
+        distance = ghosts.search_walls.distances(sources.targets, self.source)
         near = distance < discretization.support_radius
-        self._distance = np.maximum(distance, NEAREST * discretization.particle_spacing)
+        self._distance = np.maximum(distance, ghosts.nearest * discretization.particle_spacing)
         self._beside = fields.BesideWalls(
-            sources.particle, sources.targets[near], source, self._distance[near]
+            sources.particle, sources.targets[near], self.source, self._distance[near]
         )
 
     def regularity(self, constants: RegularityConstants) -> Array:
         """Return the sums (6, n_particles) over ghosts that `sweeps.regularity` includes."""
-        out = np.zeros((6, self._sources.targets.size))
-        search = self._ghosts.search
+        out = np.zeros((6, self.sources.targets.size))
+        search = self.ghosts.search
         wall_sweeps.wall_regularity(self._beside, self._gathered, search, constants, out)
         return out
 
     def damp(self, pressure: Array) -> None:
         """Set the damper's pressure of ghosts, given that of the fluid's sources (n_sources,)."""
-        ghost = self._ghost
-        damping = pressure - self._source[fields.DENSITY]
+        ghost = self.ghost
+        damping = pressure - self.source[fields.DENSITY]
         ghost_fields.ghost_damping(
             ghost[:2],
-            self._source,
+            self.source,
             damping,
-            self._weights,
-            self._fluid_search,
+            self.weights,
+            self.search,
             ghost[fields.PRESSURE],
         )
-        self._gathered = self._ghosts.gathered(ghost)
+        self._gathered = self.ghosts.gathered(ghost)
 
     def hold_back(self, shifting_velocity: Array, against: float = 1.0) -> None:
         """Limit shifting velocities (2, n_particles), so that no particle crosses a wall.
 
         With `against` = 0, only so that none pushes into a wall.
         """
-        search = self._ghosts.search_walls
-        spacing = self._ghosts.discretization.particle_spacing
-        limits = Limits(CLOSEST * spacing, TOUCHING * spacing, FELT * spacing, against)
-        if not self._ghosts.discretization.shifting:
-            limits = limits._replace(closest=0.5 * CLOSEST * spacing, touching=CLOSEST * spacing)
+        search = self.ghosts.search_walls
+        spacing = self.ghosts.discretization.particle_spacing
+        # Only shifting moves particles away from walls again.
+        least = spacing if self.ghosts.discretization.shifting else 0.5 * spacing
+        limits = Limits(CLOSEST * least, TOUCHING * least, FELT * spacing, against)
         search.kernels.hold_back(self._beside, *search.lists, limits, shifting_velocity)
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
         """Add the ghosts' contribution to the acceleration (2, n_particles)."""
-        search = self._ghosts.search
+        search = self.ghosts.search
         wall_sweeps.wall_rates(self._beside, self._gathered, search, regular, fluid, out)
 
     def forces(self, fluid: FluidConstants) -> Array:
         """Return the pressure and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
 
-        `self._source` must contain the pressure and the Laplacian's factor.
+        `self.source` must contain the pressure and the Laplacian's factor.
         """
-        particle = self._sources.particle
+        particle = self.sources.particle
         distance = np.empty(self._distance.size)
-        distance[particle[self._sources.targets]] = self._distance
-        out = np.empty((4, self._ghost.shape[1]))
+        distance[particle[self.sources.targets]] = self._distance
+        out = np.empty((4, self.ghost.shape[1]))
         wall_sweeps.ghost_forces(
-            self._ghost, self._source, distance[particle], self._fluid_search, fluid, out
+            self.ghost, self.source, distance[particle], self.search, fluid, out
         )
         return out.reshape(2, 2, -1)
 
@@ -297,9 +312,9 @@ class WallTerms:
         advection.transport(
             self._beside,
             self._gathered,
-            self._ghosts.search,
+            self.ghosts.search,
             self._gathered[fields.DEPTH],
-            self._ghosts.fluid.reference_density,
+            self.ghosts.fluid.reference_density,
             part,
         )
         out += part

@@ -1,0 +1,79 @@
+"""A flow whose keys may be functions of Python."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import Any
+
+from sphrom.arguments import checked
+from sphrom.case.functions import remember
+from sphrom.errors import CaseError
+from sphrom.scenes.expressions import Function
+from sphrom.signals import guarded
+from sphrom.sph.terms import Term
+
+VECTORS = ("body_force", "velocity")
+"""Keys with two components, which one function may give."""
+
+
+class Flow(dict[str, Any]):
+    """The scene of a case, with functions of Python in place of expressions.
+
+    Parameters
+    ----------
+    keys : the keys of a scene of kind `custom`, such as `box`, `solids`, `walls` and `body_force`.
+
+    A function can stand wherever an expression can. It takes arrays, and returns an array of the
+    same shape; its arguments are named like the variables of the expression, such as x, y [m] and
+    t [s], or like constants of the scene. For a vector, one function may return both components.
+    As in an expression, a force is a field times an amplitude; `functions` names functions that
+    expressions call: `functions={"gust": gust}, body_force=["gust(x, y)*sin(t)", 0]`.
+
+    `terms` has terms of the acceleration by name, each a `sphrom.Term`.
+
+    A case stores a digest of a function's code and of the values that it uses when the flow is
+    made. Artifacts of another function are out of date. Only this process has the functions:
+    commands of the terminal and parallel workers refuse such a case.
+
+    Raises CaseError for a function that can't be identified.
+    """
+
+    @guarded(computes=False)
+    @checked
+    def __init__(self, **keys: Any) -> None:
+        self._functions: dict[str, str] = {}
+        scene = {name: self._plain(value, (name,)) for name, value in keys.items()}
+        functions = {**scene.pop("functions", {}), **self._functions}
+        super().__init__({"kind": "custom", **scene, "functions": functions})
+
+    def _plain(self, value: Any, path: tuple[str, ...]) -> Any:
+        """Return a value with functions replaced by texts, and by their digests."""
+        if isinstance(value, Mapping):
+            return {name: self._plain(one, (*path, str(name))) for name, one in value.items()}
+        if isinstance(value, tuple | list):
+            return [self._plain(one, (*path, str(n))) for n, one in enumerate(value)]
+        try:
+            if isinstance(value, Term):
+                return {kind: remember(one) for kind, one in vars(value).items() if one}
+            if not callable(value):
+                return value
+            if path[-1] in VECTORS:
+                return [self._plain(_component(value, n), (*path, "xy"[n])) for n in range(2)]
+            name = path[-1] if path[0] == "functions" else re.sub(r"\W", "_", "_".join(path))
+            self._functions[name] = remember(value)
+            return f"{name}({', '.join(Function(name, value).arguments)})"
+        except ValueError as error:
+            raise CaseError(f"{'.'.join(path)}: {error}") from error
+
+
+def _component(function: Callable[..., Any], number: int) -> Callable[..., Any]:
+    """Return a function for one of two components."""
+
+    @wraps(function)
+    def component(*values: Any) -> Any:
+        one, other = function(*values)
+        return (one, other)[number]
+
+    return component

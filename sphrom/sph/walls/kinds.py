@@ -1,0 +1,73 @@
+"""The list of wall rules, with the facts that a case needs before the code of a rule is loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sphrom.sph.walls.rule import WallRule
+
+LARGEST_WAVE_NUMBER = 1.4
+"""Largest resolved wave number of sound, times h: sqrt of the largest eigenvalue of -D G."""
+
+
+@dataclass(frozen=True)
+class WallKind:
+    """A wall rule."""
+
+    code: str
+    """Its module in this folder, and its class there."""
+    meaning: str
+    at_fixed_points: bool = False
+    """Whether it has matrices at fixed points, with D = -G^T."""
+    along_axes: bool = True
+    """Whether it is for walls along the axes only."""
+    wave_number: float = LARGEST_WAVE_NUMBER
+    """Largest wave number of sound beside its walls, times h."""
+    viscous_limit: float = 0.22
+    """Largest nu dt / (h dx), because velocities are extrapolated from close by."""
+    stiffer_at_corners: float = 0.2
+    """Increase of the largest friction rate beside walls at a corner, over its sharpness."""
+
+    @property
+    def rule(self) -> type[WallRule]:
+        """The class of the rule, whose module is imported here."""
+        rule: type[WallRule] = resolve_name(f"sphrom.sph.walls.{self.code}")
+        return rule
+
+
+KINDS: Mapping[str, WallKind] = {
+    "adjoint": WallKind(
+        "rules:Adjoint",
+        "velocity extrapolated from each particle through the wall (Morris et al. 1997), and minus "
+        "the transpose of the pressure force in continuity",
+        at_fixed_points=True,
+        along_axes=False,
+    ),
+    "normal": WallKind(
+        "rules:Normal",
+        "velocity extrapolated, and only its part across the wall in continuity",
+    ),
+    "adami": WallKind(
+        "rules:Adami",
+        "2 U_wall - u of the interpolated velocity u (Adami et al. 2012), and only its part across "
+        "the wall in continuity",
+    ),
+    "adami-as-fluid": WallKind(
+        "rules:AdamiAsFluid",
+        "2 U_wall - u, and ghosts count like fluid in continuity",
+        along_axes=False,
+    ),
+    "printed": WallKind(
+        "rules:Printed",
+        "as printed: u with its tangential part reversed, and ghosts count like fluid",
+    ),
+    "printed-normal": WallKind(
+        "rules:PrintedNormal",
+        "u with its tangential part reversed, and only its part across the wall in continuity",
+    ),
+}
+"""The rules by the value of `discretization.walls.kind`."""
