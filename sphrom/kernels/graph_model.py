@@ -244,20 +244,9 @@ def run_all(
                 for i in range(n_all):
                     stage[i] = state[i] + ahead * rate[i]
                 f_x, f_y = force[run, at]
-                rates(
-                    tables,
-                    stage,
-                    depth,
-                    gravity,
-                    viscosity,
-                    growth,
-                    f_x,
-                    f_y,
-                    closure[run],
-                    mass,
-                    work,
-                    rate,
-                )
+                # As separate arguments the same numbers would change the last bits of runs.
+                given_now = depth, gravity, viscosity, growth, f_x, f_y
+                rates(tables, stage, *given_now, closure[run], mass, work, rate)
                 factor = dt / 3 if part in (1, 2) else dt / 6
                 for i in range(n_all):
                     total[i] += factor * rate[i]

@@ -219,7 +219,7 @@ class _Fit:
         """alpha, beta and the closure's entries, relative to the coordinates' sizes."""
 
     def change(self, numbers: Array) -> dict[str, Any]:
-        """Return what numbers mean for a model."""
+        """Return the parameters of a model that numbers stand for."""
         closure = np.zeros((len(self.scale),) * 2)
         closure[self.entries] = numbers[2:]
         return {

@@ -1,4 +1,4 @@
-"""Bases of flows below a free surface, and what training teaches their models; both are stored.
+"""Bases of flows below a free surface, and the results of training; both are stored.
 
 They load no kernels, as reading an artifact needs none.
 """
@@ -125,7 +125,7 @@ def make_basis(
 
 
 class TrainedGraph(Record):
-    """What training runs teach a model with one number of modes; errors are relative, in L2."""
+    """Results of training for one number of modes; errors are relative, in L2."""
 
     n_surface: int = attribute("1", "modes of the elevation")
     rise: float = attribute("m", "of the mean level above the depth, in training runs")

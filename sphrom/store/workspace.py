@@ -1,4 +1,4 @@
-"""The artifacts of one case: their files, and what each depends on."""
+"""The artifacts of one case: their files and dependencies."""
 
 from __future__ import annotations
 

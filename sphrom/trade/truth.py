@@ -1,4 +1,4 @@
-"""What runs at extremes are compared with: full runs, and the nearest states in a basis."""
+"""References of runs at extremes: full runs, and the nearest states in a basis."""
 
 from __future__ import annotations
 
