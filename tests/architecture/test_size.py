@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 TOKENS, MODULES = 291_500, 232
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
-TEST_LINES = 27_900
+TEST_LINES = 28_000
 LARGEST_SHARE = 0.16
 """Of a package's tokens in all."""
 LONGEST = 450
