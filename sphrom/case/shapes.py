@@ -212,7 +212,11 @@ def shapes_with(keys: type[ShapeSection], *names: str) -> dict[str, type[Section
     """Return kinds of shapes, by default all, that also have the keys of a section."""
     begin = keys.__name__.removesuffix("Section")
     return {
-        name: create_model(begin + SHAPES[name].__name__, __base__=(keys, SHAPES[name]))
+        name: create_model(
+            begin + SHAPES[name].__name__,
+            __base__=(keys, SHAPES[name]),
+            __doc__=SHAPES[name].__doc__,
+        )
         for name in names or SHAPES
     }
 

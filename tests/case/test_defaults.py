@@ -57,6 +57,11 @@ def numbers(node: Any, known: Any, name: str = "", within: tuple[str, ...] = ())
         yield name, node.get("minimum"), node.get("maximum")
 
 
+def test_every_section_is_described() -> None:
+    sections = Case.model_json_schema()["$defs"]
+    assert [name for name, section in sections.items() if "description" not in section] == []
+
+
 def test_every_number_has_its_limits() -> None:
     schema = Case.model_json_schema()
     found = set(numbers(schema, schema["$defs"]))
