@@ -252,7 +252,10 @@ class Model(ABC, Generic[At]):
     def tangents(
         self, point: ParameterPoint, names: Sequence[str], reduced: At, step_factor: float = 1.0
     ) -> Tangents:
-        """Return the derivatives of a run by some parameters, in steps longer by a factor."""
+        """Return the derivatives of a run by some parameters, in steps longer by a factor.
+
+        Only families with the ability SENSITIVITIES have it.
+        """
         raise NotImplementedError
 
     def trained_differences(

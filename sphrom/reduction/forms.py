@@ -21,6 +21,7 @@ only have two. A form is (n_rows, n_fields, n) at n points.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, groupby
 from typing import Any, ClassVar
@@ -131,7 +132,7 @@ class PointFields:
         )
 
 
-class Part:
+class Part(ABC):
     """A part of the rates."""
 
     is_quadratic: ClassVar[bool] = False
@@ -142,12 +143,15 @@ class Part:
         self.source = source
         """(2, n_points), the rates of the velocity in fluid at rest; None if they are zero."""
 
+    @abstractmethod
     def linear(self, of: LocalFields) -> Array:
         """Return L of fields."""
-        raise NotImplementedError
 
     def bilinear(self, by: LocalFields, of: LocalFields) -> Array:
-        """Return B of carriers and carried fields; one of the two may be a single field."""
+        """Return B of carriers and carried fields; one of the two may be a single field.
+
+        Only parts that are quadratic have it.
+        """
         raise NotImplementedError
 
     def push_of_heads(self, accelerations: Array, rows: slice) -> Array:
