@@ -47,6 +47,15 @@ KINDS: Mapping[str, WallKind] = {
         at_fixed_points=True,
         along_axes=False,
     ),
+    "mirrored": WallKind(
+        "mirrored:Mirrored",
+        "the same, with the pressure of a linear fit around each ghost's mirror point in the fluid "
+        "(compare English et al. 2022)",
+        at_fixed_points=True,
+        along_axes=False,
+        wave_number=1.7,
+        viscous_limit=0.18,
+    ),
     "normal": WallKind(
         "rules:Normal",
         "velocity extrapolated, and only its part across the wall in continuity",
