@@ -130,7 +130,7 @@ class Case(Section):
 
 
 VERSIONS: Mapping[str, int] = {
-    "compare": 3, "discretization": 2, "fluid": 2, "operators": 4, "psi": 2, "rom": 3, "trade": 2
+    "compare": 3, "discretization": 3, "fluid": 2, "operators": 4, "psi": 2, "rom": 3, "trade": 2
 }  # fmt: skip
 """Versions of sections, raised when a default or the meaning of a key changes: older artifacts then
 belong to another case. A new key needs none if its default keeps the earlier behaviour."""
