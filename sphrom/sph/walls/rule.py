@@ -3,7 +3,7 @@
 After Adami, Hu and Adams (J. Comput. Phys. 231, 2012). Ghosts fill the lattice beyond the fluid's
 domain to the depth of the kernel's reach. A ghost's pressure is interpolated from the fluid, with
 the weight of the fluid in between added. A rule decides their velocity and their share in the
-continuity equation; it may replace any other method of `WallRule`, too.
+continuity equation; it may replace any other method of `WallRule`, too, such as the interpolation.
 """
 
 from __future__ import annotations
