@@ -53,7 +53,7 @@ KINDS: Mapping[str, WallKind] = {
         "(compare English et al. 2022)",
         at_fixed_points=True,
         along_axes=False,
-        wave_number=1.7,
+        wave_number=1.47,
         viscous_limit=0.18,
     ),
     "normal": WallKind(

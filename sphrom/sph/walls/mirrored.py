@@ -30,7 +30,7 @@ FLUX, FITS = 4, slice(5, 8)
 """Rows of the interpolated fields: the flux towards a ghost; the fit around its mirror point."""
 
 
-def mirror_points(position: Array, domain: Domain) -> tuple[Array, Array]:
+def mirror_points(position: Array, domain: Domain, least: float) -> tuple[Array, Array]:
     """Return the mirror points (2, n_ghosts) [m] of ghosts, and the ways to them (2, n_ghosts) [m].
 
     Where these would be in another solid, they are nearer to the wall.
@@ -38,9 +38,10 @@ def mirror_points(position: Array, domain: Domain) -> tuple[Array, Array]:
     Parameters
     ----------
     position : (n_ghosts, 2) [m].
+    least : distance from the wall [m] of the mirror points of ghosts that are nearer to it.
     """
     distance, normal = domain.distance_and_normal(position)
-    depth = np.abs(distance)
+    depth = np.maximum(np.abs(distance), least)
     beyond = np.ones(len(depth), dtype=bool)
     while beyond.any():
         way = (np.abs(distance) + depth)[:, None] * normal
@@ -63,7 +64,7 @@ class Mirrored(Adjoint):
         self, walls: Walls, domain: Domain, fluid: Fluid, discretization: Discretization
     ) -> None:
         super().__init__(walls, domain, fluid, discretization)
-        self._mirror, way = mirror_points(walls.position, domain)
+        self._mirror, way = mirror_points(walls.position, domain, discretization.smoothing_length)
         self._from_mirror = -way
         reach = discretization.support_radius
         self._felt = reach + float(domain.wall_distance(self._mirror.T).max(initial=0.0))
@@ -108,6 +109,6 @@ class Mirrored(Adjoint):
         from sphrom.sph.point_sums import mirror_matrix  # importing scipy.sparse takes long
 
         sums = super().sums_at(position, walls, domain, discretization)
-        mirror, way = mirror_points(walls.position, domain)
+        mirror, way = mirror_points(walls.position, domain, discretization.smoothing_length)
         mean = mirror_matrix(position, mirror, -way, domain, discretization)
         return replace(sums, mean=mean, head=None)
