@@ -54,7 +54,8 @@ KINDS: Mapping[str, WallKind] = {
         at_fixed_points=True,
         along_axes=False,
         wave_number=1.47,
-        viscous_limit=0.18,
+        viscous_limit=0.21,
+        stiffer_at_corners=0.15,
     ),
     "normal": WallKind(
         "rules:Normal",
