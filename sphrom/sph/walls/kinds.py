@@ -56,8 +56,9 @@ KINDS: Mapping[str, WallKind] = {
         at_fixed_points=True,
         along_axes=False,
         below_surfaces=False,
-        wave_number=1.7,
-        viscous_limit=0.18,
+        wave_number=1.47,
+        viscous_limit=0.21,
+        stiffer_at_corners=0.15,
     ),
     "normal": WallKind(
         "rules:Normal",

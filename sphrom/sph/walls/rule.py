@@ -218,7 +218,7 @@ class WallRule(ABC):
         weights, flux : (n_ghosts,) the sum of the kernel [1/m2]; the flux towards the ghost [1/s].
         """
 
-    def give_back(self, beside: WallTerms, out: Array) -> None:
+    def give_back(self, beside: WallTerms, out: Array) -> None:  # noqa: B027 - optional
         """Subtract the flux into walls from the divergence (n_particles,) [1/s] of the fluid.
 
         That is the work of rules that do not return it by the rows of ghosts.
