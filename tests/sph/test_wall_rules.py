@@ -110,7 +110,7 @@ def test_couette(kind: str, ratio: float) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_linear_pressure(kind: str) -> None:
-    """Other rules take the pressure of the fluid that a ghost sees, nearer than its mirror point."""
+    """Ghosts of other rules have the pressure of fluid that is nearer than their mirror point."""
     functional, state = channel(kind)
     state[2] = 1e-6 * state[1]
     share = -functional(state)[4] * FLUID.reference_density / (1e-6 * FLUID.sound_speed**2)
