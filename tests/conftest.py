@@ -236,10 +236,10 @@ class BruteForce:
         weights = self.kernel(np.linalg.norm(self.offsets(points), axis=2)) * self.spacing**2
         return (weights @ self.images(field)) / weights.sum(axis=1)
 
-    def moving_least_squares(self, points: Array, field: Array) -> Array:
-        """The value of the weighted quadratic fit around each point."""
+    def moving_least_squares(self, points: Array, field: Array, share: Array) -> Array:
+        """The value of the quadratic fit around each point, weighted by the kernel and `share`."""
         offset = -self.offsets(points)
-        weights = self.kernel(np.linalg.norm(offset, axis=2))
+        weights = self.kernel(np.linalg.norm(offset, axis=2)) * self.images(share)
         values = self.images(field)
         fits = []
         for x, y, weight in zip(offset[..., 0], offset[..., 1], weights, strict=True):

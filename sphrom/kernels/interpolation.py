@@ -1,8 +1,9 @@
 """Interpolation from particles to fixed points: Shepard (Eq. 3.15) and moving least squares.
 
 Both take sources sorted by cell, with three fields each, and any points. Moving least squares fit a
-full quadratic polynomial, weighted by the kernel, and return its value at the point. Coordinates
-are offsets over the smoothing length, so that all moments have a similar size.
+full quadratic polynomial, weighted by the kernel and a weight of each source, and return its value
+at the point. Coordinates are offsets over the smoothing length, so that all moments have a similar
+size.
 """
 
 from __future__ import annotations
@@ -86,6 +87,7 @@ def _add_moments(
     first = source[2, columns]
     second = source[3, columns]
     third = source[4, columns]
+    share = source[5, columns]
     m00 = m10 = m01 = m20 = m11 = m02 = m30 = m21 = m12 = m03 = 0.0
     m40 = m31 = m22 = m13 = m04 = 0.0
     a0 = a1 = a2 = a3 = a4 = a5 = 0.0
@@ -93,7 +95,7 @@ def _add_moments(
     c0 = c1 = c2 = c3 = c4 = c5 = 0.0
     for k in range(first.size):
         ox, oy = times(inverse_length, minus(element(places, k), place))
-        w = kernel_of((ox, oy), 1.0)
+        w = share[k] * kernel_of((ox, oy), 1.0)
         wx = w * ox
         wy = w * oy
         wxx = wx * ox
@@ -201,7 +203,7 @@ def moving_least_squares(
     Parameters
     ----------
     points : (2, n_points) [m].
-    source : (5, n_sources) rows x, y [m] and three fields, sorted by cell.
+    source : (6, n_sources) rows x, y [m], three fields and the weight, sorted by cell.
     scratch : (N_CHUNKS, 90) scratch memory.
     out : (3, n_points) the fields; NaN if the sources within reach do not determine a polynomial.
     """
