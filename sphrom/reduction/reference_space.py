@@ -9,10 +9,11 @@ within the support of the wall and 3e-5 elsewhere. Noise is damped to 0.6 in the
 and amplified by 1.2 in corners. Shepard interpolation is of first order there: the same layer has
 an error of 6e-2 at h = 2 dx, and of 0.12 at h = 4 dx.
 
-Particles that touch a wall have a wrong pressure in full runs. In the fit of the pressure, and not
-in that of velocities, those nearer to a wall than a spacing therefore weigh less: by the cube of
-their distance. Quadratic fields are still mapped exactly. At 10 spacings per diameter, the pressure
-at the front of a cylinder less that at its back is PLACEHOLDER.
+Particles that touch a wall have a wrong pressure in full runs. In the fit of the density, and not in
+that of velocities, those nearer to a wall than a spacing therefore weigh less: as the cube of their
+distance. Quadratic fields are still exact. Noise on a wall is amplified by 1.34 instead of 1.22, in
+corners by 2.8 instead of 3.2. Without any particles within half a spacing it would be 2.1 and 12,
+and means would be off, because the first row's pressures are high and low in turn.
 """
 
 from __future__ import annotations
