@@ -80,7 +80,7 @@ def test_moving_least_squares_hardly_attenuate(scatter: Callable) -> None:
 
 
 @pytest.mark.parametrize("method", ["shepard", "mls"])
-@pytest.mark.parametrize("domain", [BOX, CLOSED], ids=["periodic", "closed"])
+@pytest.mark.parametrize("domain", [BOX, CLOSED])
 @pytest.mark.parametrize(("kind", "ratio"), [("jittered", 1.7), ("jittered", 2.0), ("random", 4.0)])
 def test_equals_the_sums_over_all_particles(
     brute_force: type, scatter: Callable, method: str, domain: Domain, kind: str, ratio: float
@@ -96,7 +96,6 @@ def test_equals_the_sums_over_all_particles(
         expected[0] += linear * (fit(points, state[2], 3) - expected[0])
     to_reference = map_onto(points, domain, ratio, method, 0.0625)
     density, velocity = to_reference(state[:2].T, state[2], state[3:].T)
-    assert velocity.shape == (60, 2)
     assert np.max(np.abs(np.array(expected) - (density, *velocity.T))) < 1e-10
 
 
@@ -138,8 +137,8 @@ CURVED = PolygonDomain((0.0, 0.0), (1.0, 1.0), (False, False), tuple(zip("oi", R
 @pytest.mark.parametrize("domain", [CLOSED, WITH_STEP, CURVED], ids=["box", "corners", "curved"])
 def test_moving_least_squares_are_exact_for_polynomials_at_walls(domain: Domain) -> None:
     """Linear densities and quadratic velocities, on walls and at corners too. Measured: 5e-14."""
-    points, position = domain.fill(SPACING), jittered(domain, SPACING)
-    points = np.vstack((points, domain.on_wall(points), [(0.25, 0.5), (0.0, 0.5)]))
+    lattice, position = domain.fill(SPACING), jittered(domain, SPACING)
+    points = np.vstack((lattice, domain.on_wall(lattice), [(0.25, 0.5), (0.0, 0.5)]))
 
     def fields(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return 1.0 + x - 3.0 * y, np.stack((y * y - x, 2.0 * x * x + y), axis=1)
@@ -152,10 +151,9 @@ def test_moving_least_squares_are_exact_for_polynomials_at_walls(domain: Domain)
 
 def test_densities_that_alternate_from_row_to_row_grow_little_towards_walls() -> None:
     """Rows beside walls do so in full runs. Measured: to 1.38; by quadratic fits, to 3.36."""
-    position = CLOSED.fill(SPACING)
+    position, on_wall = CLOSED.fill(SPACING), map_onto(np.array([[0.5, 0.0]]), CLOSED)
     rows = np.where(np.rint(position[:, 1] / SPACING - 0.5) % 2, -1.0, 1.0)
-    velocity = np.stack((rows, rows), axis=1)
-    density, quadratic = map_onto(np.array([[0.5, 0.0]]), CLOSED)(position, rows, velocity)
+    density, quadratic = on_wall(position, rows, np.stack((rows, rows), axis=1))
     assert density[0] < 1.4 < 3.3 < quadratic[0, 0]
 
 
