@@ -369,15 +369,15 @@ def _shares(domain: Domain, walls: Walls, wall: int) -> Array:
     # The nearest point of a ghost behind a corner is the corner, with a wall on either side.
     sides = [place + (1.0 - BESIDE**2) * way + step for step in (along, -along)]
     owners = [domain.nearest_wall(side) for side in sides]
-    (ax, ay), (bx, by) = (domain.distance_and_normal(side)[1].T for side in sides)
-    turn = ax * by - ay * bx
+    normals = [domain.distance_and_normal(side)[1].T for side in sides]
+    a, b = (
+        normal[:, None] * (owner == wall) for normal, owner in zip(normals, owners, strict=True)
+    )
+    along_a, along_b = (np.stack((-normal[1], normal[0])) for normal in normals)
+    turn = np.sum(along_a * normals[1], axis=0)
     shared = (owners[0] != owners[1]) & (np.abs(turn) > LEAST_TURN)
-    whole = np.eye(2)[..., None] * (walls.wall == wall)
-    scale = np.divide(1.0, turn, out=np.zeros_like(turn), where=shared)
-    along_first = scale * np.array([[ax * by, -ax * bx], [ay * by, -ay * bx]])
-    along_second = np.eye(2)[..., None] - along_first
-    parts = along_first * (owners[0] == wall) + along_second * (owners[1] == wall)
-    return np.where(shared, parts, whole)
+    parts = (b * along_a - a * along_b) / np.where(shared, turn, 1.0)
+    return np.where(shared, parts, np.eye(2)[..., None] * (walls.wall == wall))
 
 
 class WallForces:
