@@ -107,7 +107,7 @@ def test_linear_pressure(name: str, start: str) -> None:
 def test_mirror_points_are_in_the_fluid(name: str) -> None:
     domain = DOMAINS[name]
     ghosts = domain.ghosts(SPACING, 4).position
-    mirror, way = mirror_points(ghosts, domain)
+    mirror, way = mirror_points(ghosts, domain, 2.0 * SPACING)
     assert np.all(domain.distance_and_normal(mirror.T)[0] > 0.0)
     np.testing.assert_allclose(domain.wrap(ghosts + way.T), mirror.T, atol=1e-12)
 
@@ -122,10 +122,10 @@ def test_mirror_points_stay_in_narrow_gaps() -> None:
         (0.0, 0.0), (1.0, 1.0), (True, False), (("block", shapely.box(0.3, gap, 0.7, 1.0)),)
     )
     ghosts = domain.ghosts(SPACING, 4).position
-    mirror, way = mirror_points(ghosts, domain)
+    mirror, way = mirror_points(ghosts, domain, 2.0 * SPACING)
     assert np.all(domain.distance_and_normal(mirror.T)[0] > 0.0)
     depth = -domain.distance_and_normal(ghosts)[0]
-    nearer = np.hypot(*way) < 2.0 * depth * (1.0 - 1e-9)
+    nearer = np.hypot(*way) < (depth + np.maximum(depth, 2.0 * SPACING)) * (1.0 - 1e-9)
     assert np.all(depth[nearer] > 3.0 * SPACING)
 
 
@@ -148,11 +148,11 @@ def test_periodic_images() -> None:
     np.testing.assert_allclose(*found, rtol=0.0, atol=1e-9 * np.abs(found[0]).max())
 
 
-@pytest.mark.parametrize(("kind", "limits"), [("mirrored", (0.1, 0.02)), ("adjoint", (0.7, 0.3))])
+@pytest.mark.parametrize(("kind", "limits"), [("mirrored", (0.13, 0.04)), ("adjoint", (0.7, 0.3))])
 def test_swirl(kind: str, limits: tuple[float, float]) -> None:
     """The pressure of fluid that turns with a round wall holds it on its circles.
 
-    Measured, of the centripetal acceleration at the wall, r.m.s. in two rows: 7.2 and 1.6 %,
+    Measured, of the centripetal acceleration at the wall, r.m.s. in two rows: 9.9 and 2.9 %,
     because this pressure is quadratic; with `adjoint` 58 and 21 %.
     """
     domain, position = DOMAINS["hole"], points("hole", "lattice")
