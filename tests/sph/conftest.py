@@ -210,7 +210,7 @@ class WallSums:
         self.depth = depth
         self.no_slip, self.continuity = RULES[discretization.wall_kind]
         if self.continuity == "adjoint":
-            most = 2.0 if self.mirrored else 3.0
+            most = 2.5 if self.mirrored else 3.0
             length = discretization.smoothing_length
             self.depth *= gains(domain, self.walls.position, length, most)
         self.from_wall = np.maximum(from_wall, nearest)

@@ -57,7 +57,7 @@ def mirror_points(position: Array, domain: Domain, least: float) -> tuple[Array,
 class Mirrored(Adjoint):
     """Pressure is continued linearly, velocities are extrapolated, and walls return their flux."""
 
-    deeper_at_corners = 2.0
+    deeper_at_corners = 2.5
     nearest = 0.35
     closest = 0.1
     touching = 0.2
