@@ -212,8 +212,10 @@ def not_whole(duration: float, step: float) -> str | None:
 
 def beyond_limits(case: Case) -> Iterator[str]:
     """Yield the limits that the time step exceeds."""
-    step, plan = case.time.step, case.plan
-    stable, sizes = plan.limits, plan.discretization
+    step = case.time.step
+    plan = case.plan
+    stable = plan.limits
+    sizes = plan.discretization
     courant = stable.acoustic * plan.sound_speed / sizes.smoothing_length
     beside = f"beside walls at most {sizes.walls.viscous_limit:g} h dx / nu"
     limits = {

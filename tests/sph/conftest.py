@@ -341,7 +341,9 @@ class WallSums:
                     towards = out[i] @ way
                     low, high = (0.1, 0.2) if self.mirrored else (0.25, 0.5)
                     pushed = max(towards, 0.0) * np.interp(distance, [high, 1.5], [0.0, 1.0])
-                    back = against * max(u @ way, 0.0) * np.interp(distance, [low, high], [1.0, 0.0])
+                    back = (
+                        against * max(u @ way, 0.0) * np.interp(distance, [low, high], [1.0, 0.0])
+                    )
                     if towards > pushed - back:
                         out[i] += (pushed - back - towards) * way
         return out

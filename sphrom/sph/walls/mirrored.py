@@ -29,8 +29,10 @@ from sphrom.sph.walls.rules import Adjoint
 if TYPE_CHECKING:
     from sphrom.sph.point_sums import GhostSums
 
-FLUX, FITS = 4, slice(5, 8)
-"""Rows of the interpolated fields: the flux towards a ghost; the fit around its mirror point."""
+FLUX = 4
+"""Row of the interpolated fields with the flux towards a ghost."""
+FITS = slice(5, 8)
+"""Rows of the interpolated fields with the fit around a ghost's mirror point."""
 
 
 def mirror_points(position: Array, domain: Domain, least: float) -> tuple[Array, Array]:
@@ -100,9 +102,8 @@ class Mirrored(Adjoint):
 
     def damp(self, beside: WallTerms, damping: Array) -> None:
         added = np.empty(self._mirror.shape[1])
-        source, search = beside.source, beside.search
         fits = beside.means[FITS]
-        mirror_fits.continued(self._mirror, fits, source, damping, search, added)
+        mirror_fits.continued(self._mirror, fits, beside.source, damping, beside.search, added)
         beside.ghost[fields.PRESSURE] += added
 
     @classmethod

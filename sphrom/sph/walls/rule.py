@@ -226,10 +226,11 @@ class WallRule(ABC):
 
     def damp(self, beside: WallTerms, damping: Array) -> None:
         """Add the damper's pressure of the fluid's sources (n_sources,), over c0^2, to ghosts."""
-        ghost, weights = beside.ghost, beside.means[3]
-        place, search = ghost[:2], beside.search
+        ghost = beside.ghost
+        weights = beside.means[3]
         out = ghost[fields.PRESSURE]
-        ghost_fields.ghost_damping(place, beside.source, damping, weights, search, out)
+        source = beside.source
+        ghost_fields.ghost_damping(ghost[:2], source, damping, weights, beside.search, out)
 
     @classmethod
     def sums_at(
