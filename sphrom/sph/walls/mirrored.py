@@ -53,9 +53,9 @@ def mirror_points(position: Array, domain: Domain) -> tuple[Array, Array]:
 class Mirrored(Adjoint):
     """Pressure is continued linearly, velocities are extrapolated, and walls return their flux."""
 
-    # Slow flow past a square at 8, 12 and 16 spacings a side is then 0.3, 0.15 and 0.07 % too fast,
-    # and past other polygons at 8 up to 1.4 %. At Re 13 it is 1.3 and 0.9 % too slow at 8 and 12.
-    # At fixed points 3 would be right; particles nearer than half a spacing add to the friction.
+    # By slow flow past seven polygons at 8 spacings a side, whose flow rates are off by 0.9 % r.m.s.
+    # (1.7 and 1.1 % with 2 and 3); past a square at 8 and 12 by 0.2 and 0.1 %. At fixed points 3
+    # would be right, but moving particles nearer than half a spacing add to the friction.
     deeper_at_corners = 2.5
     nearest = 0.25
     closest = 0.1
