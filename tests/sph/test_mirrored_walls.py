@@ -24,6 +24,7 @@ from sphrom.sph.polygons import disc
 from sphrom.sph.walls.mirrored import mirror_points
 
 SPACING = 1.0 / 16.0
+LENGTH = 2.0 * SPACING
 BARE = {"shifting": False, "diffusion_coefficient": 0.0}
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.0, max_speed=0.9)
 LEVEL = 1e-6
@@ -61,7 +62,7 @@ DISORDER = {"lattice": 0.0, "disorder": 0.5}
 @cache
 def points(name: str, start: str) -> np.ndarray:
     """Return packed positions (n_particles, 2)."""
-    domain, sizes = DOMAINS[name], Discretization(SPACING, 2.0 * SPACING)
+    domain, sizes = DOMAINS[name], Discretization(SPACING, LENGTH)
     ghosts = domain.ghosts(SPACING, sizes.n_layers).position
     moved = DISORDER[start]
     return pack(domain, sizes, ghosts=ghosts, perturbation=moved, tolerance=3e-4).position
@@ -69,7 +70,7 @@ def points(name: str, start: str) -> np.ndarray:
 
 def pushed(domain: Domain, state: np.ndarray, kind: str) -> np.ndarray:
     """Return minus the acceleration (n_particles, 2), over that of a pressure LEVEL per metre."""
-    sizes = Discretization(SPACING, 2.0 * SPACING, wall_kind=kind, **BARE)
+    sizes = Discretization(SPACING, LENGTH, wall_kind=kind, **BARE)
     walls = domain.ghosts(SPACING, sizes.n_layers)
     rates = Functional(FLUID, sizes, domain, walls)(state)
     return -rates[3:].T * FLUID.reference_density / (LEVEL * FLUID.sound_speed**2)
@@ -107,7 +108,7 @@ def test_linear_pressure(name: str, start: str) -> None:
 def test_mirror_points_are_in_the_fluid(name: str) -> None:
     domain = DOMAINS[name]
     ghosts = domain.ghosts(SPACING, 4).position
-    mirror, way = mirror_points(ghosts, domain)
+    mirror, way = mirror_points(ghosts, domain, 2.0 * SPACING)
     assert np.all(domain.distance_and_normal(mirror.T)[0] > 0.0)
     np.testing.assert_allclose(domain.wrap(ghosts + way.T), mirror.T, atol=1e-12)
 
@@ -122,10 +123,10 @@ def test_mirror_points_stay_in_narrow_gaps() -> None:
         (0.0, 0.0), (1.0, 1.0), (True, False), (("block", shapely.box(0.3, gap, 0.7, 1.0)),)
     )
     ghosts = domain.ghosts(SPACING, 4).position
-    mirror, way = mirror_points(ghosts, domain)
+    mirror, way = mirror_points(ghosts, domain, 2.0 * SPACING)
     assert np.all(domain.distance_and_normal(mirror.T)[0] > 0.0)
     depth = -domain.distance_and_normal(ghosts)[0]
-    nearer = np.hypot(*way) < 2.0 * depth * (1.0 - 1e-9)
+    nearer = np.hypot(*way) < (depth + np.maximum(depth, 2.0 * SPACING)) * (1.0 - 1e-9)
     assert np.all(depth[nearer] > 3.0 * SPACING)
 
 
@@ -136,7 +137,7 @@ def test_periodic_images() -> None:
         PolygonDomain((0, 0), (1.5, 1.25), (True, True), (("disc", disc(centre, 0.3)),))
         for centre in ((0.03, 1.2), (0.73, 0.55))
     ]
-    sizes = Discretization(SPACING, 2.0 * SPACING, wall_kind="mirrored", acoustic_damping=1.0)
+    sizes = Discretization(SPACING, LENGTH, wall_kind="mirrored", acoustic_damping=1.0)
     position = domains[0].fill(SPACING)
     ghosts = domains[0].ghosts(SPACING, sizes.n_layers)
     fields = np.random.default_rng(3).standard_normal((3, len(position)))
@@ -148,11 +149,11 @@ def test_periodic_images() -> None:
     np.testing.assert_allclose(*found, rtol=0.0, atol=1e-9 * np.abs(found[0]).max())
 
 
-@pytest.mark.parametrize(("kind", "limits"), [("mirrored", (0.1, 0.02)), ("adjoint", (0.7, 0.3))])
+@pytest.mark.parametrize(("kind", "limits"), [("mirrored", (0.13, 0.04)), ("adjoint", (0.7, 0.3))])
 def test_swirl(kind: str, limits: tuple[float, float]) -> None:
     """The pressure of fluid that turns with a round wall holds it on its circles.
 
-    Measured, of the centripetal acceleration at the wall, r.m.s. in two rows: 7.2 and 1.6 %,
+    Measured, of the centripetal acceleration at the wall, r.m.s. in two rows: 9.9 and 2.9 %,
     because this pressure is quadratic; with `adjoint` 58 and 21 %.
     """
     domain, position = DOMAINS["hole"], points("hole", "lattice")
@@ -175,7 +176,7 @@ def test_free_slip(angle: float) -> None:
     ends = np.array([-4.0, 4.0])[:, None] * along
     block = shapely.Polygon([*(ends - solid * across), *ends[::-1]])
     domain = PolygonDomain((0.0, 0.0), (width, period), (True, True), (("walls", block),))
-    sizes = Discretization(SPACING, 2.0 * SPACING, wall_kind="mirrored", free_slip=True, **BARE)
+    sizes = Discretization(SPACING, LENGTH, wall_kind="mirrored", free_slip=True, **BARE)
     walls = domain.ghosts(SPACING, sizes.n_layers)
     fluid = Fluid(800.0, 7.0, 1.0, 0.9)
     position = pack(domain, sizes, ghosts=walls.position, perturbation=0.0, tolerance=3e-4).position

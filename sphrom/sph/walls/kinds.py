@@ -25,6 +25,8 @@ class WallKind:
     """Whether it has matrices at fixed points, with D = -G^T."""
     along_axes: bool = True
     """Whether it is for walls along the axes only."""
+    below_surfaces: bool = True
+    """Whether it is for fluid with a free surface, too."""
     wave_number: float = LARGEST_WAVE_NUMBER
     """Largest wave number of sound beside its walls, times h."""
     viscous_limit: float = 0.22
@@ -53,8 +55,10 @@ KINDS: Mapping[str, WallKind] = {
         "(compare English et al. 2022)",
         at_fixed_points=True,
         along_axes=False,
-        wave_number=1.7,
-        viscous_limit=0.18,
+        below_surfaces=False,
+        wave_number=1.47,
+        viscous_limit=0.21,
+        stiffer_at_corners=0.15,
     ),
     "normal": WallKind(
         "rules:Normal",

@@ -3,7 +3,7 @@
 After Adami, Hu and Adams (J. Comput. Phys. 231, 2012). Ghosts fill the lattice beyond the fluid's
 domain to the depth of the kernel's reach. A ghost's pressure is interpolated from the fluid, with
 the weight of the fluid in between added. A rule decides their velocity and their share in the
-continuity equation; it may replace any other method of `WallRule`, too.
+continuity equation; it may replace any other method of `WallRule`, too, such as the interpolation.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class WallRule(ABC):
         weights, flux : (n_ghosts,) the sum of the kernel [1/m2]; the flux towards the ghost [1/s].
         """
 
-    def give_back(self, beside: WallTerms, out: Array) -> None:
+    def give_back(self, beside: WallTerms, out: Array) -> None:  # noqa: B027 - optional
         """Subtract the flux into walls from the divergence (n_particles,) [1/s] of the fluid.
 
         That is the work of rules that do not return it by the rows of ghosts.
