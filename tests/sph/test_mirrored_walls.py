@@ -24,6 +24,7 @@ from sphrom.sph.polygons import disc
 from sphrom.sph.walls.mirrored import mirror_points
 
 SPACING = 1.0 / 16.0
+LENGTH = 2.0 * SPACING
 BARE = {"shifting": False, "diffusion_coefficient": 0.0}
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.0, max_speed=0.9)
 LEVEL = 1e-6
@@ -61,7 +62,7 @@ DISORDER = {"lattice": 0.0, "disorder": 0.5}
 @cache
 def points(name: str, start: str) -> np.ndarray:
     """Return packed positions (n_particles, 2)."""
-    domain, sizes = DOMAINS[name], Discretization(SPACING, 2.0 * SPACING)
+    domain, sizes = DOMAINS[name], Discretization(SPACING, LENGTH)
     ghosts = domain.ghosts(SPACING, sizes.n_layers).position
     moved = DISORDER[start]
     return pack(domain, sizes, ghosts=ghosts, perturbation=moved, tolerance=3e-4).position
@@ -69,7 +70,7 @@ def points(name: str, start: str) -> np.ndarray:
 
 def pushed(domain: Domain, state: np.ndarray, kind: str) -> np.ndarray:
     """Return minus the acceleration (n_particles, 2), over that of a pressure LEVEL per metre."""
-    sizes = Discretization(SPACING, 2.0 * SPACING, wall_kind=kind, **BARE)
+    sizes = Discretization(SPACING, LENGTH, wall_kind=kind, **BARE)
     walls = domain.ghosts(SPACING, sizes.n_layers)
     rates = Functional(FLUID, sizes, domain, walls)(state)
     return -rates[3:].T * FLUID.reference_density / (LEVEL * FLUID.sound_speed**2)
@@ -136,7 +137,7 @@ def test_periodic_images() -> None:
         PolygonDomain((0, 0), (1.5, 1.25), (True, True), (("disc", disc(centre, 0.3)),))
         for centre in ((0.03, 1.2), (0.73, 0.55))
     ]
-    sizes = Discretization(SPACING, 2.0 * SPACING, wall_kind="mirrored", acoustic_damping=1.0)
+    sizes = Discretization(SPACING, LENGTH, wall_kind="mirrored", acoustic_damping=1.0)
     position = domains[0].fill(SPACING)
     ghosts = domains[0].ghosts(SPACING, sizes.n_layers)
     fields = np.random.default_rng(3).standard_normal((3, len(position)))
@@ -175,7 +176,7 @@ def test_free_slip(angle: float) -> None:
     ends = np.array([-4.0, 4.0])[:, None] * along
     block = shapely.Polygon([*(ends - solid * across), *ends[::-1]])
     domain = PolygonDomain((0.0, 0.0), (width, period), (True, True), (("walls", block),))
-    sizes = Discretization(SPACING, 2.0 * SPACING, wall_kind="mirrored", free_slip=True, **BARE)
+    sizes = Discretization(SPACING, LENGTH, wall_kind="mirrored", free_slip=True, **BARE)
     walls = domain.ghosts(SPACING, sizes.n_layers)
     fluid = Fluid(800.0, 7.0, 1.0, 0.9)
     position = pack(domain, sizes, ghosts=walls.position, perturbation=0.0, tolerance=3e-4).position

@@ -176,8 +176,8 @@ class WallRule(ABC):
         They are distances from the fluid d, increased behind corners that jut into it. There
         friction is singular (Moffatt, J. Fluid Mech. 18, 1964), and particles a spacing apart
         resolve only part of it, so a solid acts as if it were smaller. The missing part has one
-        form for all flows past one angle, and one number compensates for it:
-        d (1 + 3 tan^2(turn / 2) W(r) / W(0)), r from the corner.
+        form for all flows past one angle, and one number c (`deeper_at_corners`) compensates for
+        it: d (1 + c tan^2(turn / 2) W(r) / W(0)), r from the corner.
         """
         depth = np.maximum(-domain.distance_and_normal(ghost)[0], 0.0)
         if cls.deeper_at_corners == 0.0:
