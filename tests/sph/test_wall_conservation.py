@@ -120,7 +120,7 @@ ADJOINT = {"wall_kind": "adjoint"}
 def test_far_from_walls_they_are_not_felt(
     scenes: dict, name: str, options: dict, supports: int
 ) -> None:
-    """Bitwise; neighbours' factors, damping, shifting and fits may be those of particles at walls."""
+    """Bitwise; damping, shifting, fits and neighbours' factors may be those at walls."""
     scene = scenes[name]
     walled = scene.functional(1.5, **options)
     bare = Functional(FLUID, walled.discretization, scene.domain, body_force=scene.body_force)

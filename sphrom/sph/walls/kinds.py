@@ -44,9 +44,9 @@ class WallKind:
 KINDS: Mapping[str, WallKind] = {
     "mirrored": WallKind(
         "mirrored:Mirrored",
-        "pressure of a linear fit around each ghost's mirror point in the fluid (compare English et "
-        "al. 2022), velocity extrapolated from each particle through the wall (Morris et al. 1997), "
-        "and minus the transpose of the pressure force in continuity",
+        "pressure of a linear fit around each ghost's mirror point in the fluid (compare English "
+        "et al. 2022), velocity extrapolated from each particle through the wall (Morris et al. "
+        "1997), and minus the transpose of the pressure force in continuity",
         at_fixed_points=True,
         along_axes=False,
         below_surfaces=False,
