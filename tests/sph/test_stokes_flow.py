@@ -168,8 +168,8 @@ def test_flow_past_corners(corners: list, flow_rate: float) -> None:
     """Against `scripts/finite_elements.py polygon`; measured, 1.0 and 1.9 % of the flow rate.
 
     The depth of ghosts behind corners is that for moving particles, some of which come so near to
-    walls that they feel more friction. If ghosts took velocities from their distance alone, it would
-    be 8.4 and 17 % too large.
+    walls that they feel more friction. If ghosts took velocities from their distance alone, it
+    would be 8.4 and 17 % too large.
     """
     solids = (("solid", shapely.Polygon(corners)),)
     domain = PolygonDomain((0.0, 0.0), (3.0, 3.0), (True, False), solids)
