@@ -486,7 +486,10 @@ def main() -> None:
         if part == "rest":
             measure = partial(rest, periods=given.periods)
         for resolution, ratio in product(given.resolution or resolutions, given.ratio):
-            keys = {key: yaml.safe_load(value) for key, _, value in (x.partition("=") for x in given.set)}
+            keys = {
+                key: yaml.safe_load(value)
+                for key, _, value in (x.partition("=") for x in given.set)
+            }
             if ratio is not None:
                 keys["discretization.smoothing_length_ratio"] = ratio
             found = measure(Runs(given.out, given.threads, keys), resolution)
