@@ -88,7 +88,7 @@ class WallSection(Section):
     """The fields of the ghost particles of walls (Eq. 2.15-2.16)."""
 
     kind: WallKindName = key(
-        "adjoint",
+        "mirrored",
         "rule of walls: " + "; ".join(f"{name}, {kind.meaning}" for name, kind in KINDS.items()),
     )
     layers: Annotated[Whole, Field(ge=1, le=32)] | None = key(

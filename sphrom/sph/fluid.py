@@ -103,7 +103,7 @@ class Discretization:
     """Whether to use Eq. 2.14 as printed, with the exponent outside the bracket."""
     shifting_transport: Literal["advective", "paper"] = "advective"
     """Transport by shifting: of differences, by a particle's own shift; or as printed."""
-    wall_kind: str = "adjoint"
+    wall_kind: str = "mirrored"
     """The rule of walls, of `sphrom.sph.walls.kinds`."""
     free_slip: bool = False
     """Whether fluid slips along walls without friction."""

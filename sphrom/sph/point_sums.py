@@ -16,10 +16,11 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from sphrom.arrays import Array
+from sphrom.kernels import mirror_fits
 from sphrom.kernels.wendland import LAPLACIAN_SHAPE, weigh
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization
-from sphrom.sph.neighbourhood import periodic_images
+from sphrom.sph.neighbourhood import periodic_images, sort_sources
 
 Matrix = Any
 """A sparse matrix in compressed rows."""
@@ -61,13 +62,15 @@ class GhostSums:
     """(n_points,) the second moment of the friction, without extrapolation."""
     mean: Matrix
     """S (n_ghosts, n_points)."""
-    head: tuple[Matrix, Matrix]
-    """(n_ghosts, n_points) S times the offset of a ghost from a point, by component [m]."""
+    head: tuple[Matrix, Matrix] | None
+    """(n_ghosts, n_points) S times the offset of a ghost from a point, by component [m]; if any."""
     velocity: Array
     """(2, n_ghosts) of the walls [m/s]."""
 
     def heads(self, body_force: Array) -> Array:
         """Return ghosts' heads (n_ghosts, ...) [m2/s2] of a force (2, n_points, ...) (Eq. 2.15)."""
+        if self.head is None:
+            return np.zeros((self.mean.shape[0], *body_force.shape[2:]))
         return np.asarray(sum(self.head[d] @ body_force[d] for d in range(2)))
 
 
@@ -177,6 +180,32 @@ def ghost_sums(
         head=(mean_x, mean_y),
         velocity=np.ascontiguousarray(walls.velocity.T),
     )
+
+
+def mirror_matrix(
+    position: Array, mirror: Array, way: Array, domain: Domain, discretization: Discretization
+) -> Matrix:
+    """Return the matrix (n_ghosts, n_points) of the fits in `sphrom.kernels.mirror_fits`.
+
+    Parameters
+    ----------
+    position : (n_points, 2) [m] of the fluid.
+    mirror, way : (2, n_ghosts) [m] mirror points, and the ways from there to ghosts.
+    """
+    length = discretization.smoothing_length
+    reach = discretization.support_radius
+    near = sort_sources(
+        np.ascontiguousarray(position.T), domain, reach, discretization.particle_spacing
+    )
+    fits = np.empty((3, mirror.shape[1]))
+    mirror_fits.mirror_fits(mirror, way, near.place, near.search(reach, length), fits)
+    blocks = []
+    for pairs in _pair_blocks(mirror.T, position, domain, discretization):
+        x, y = -pairs.offset / length
+        a, bx, by = fits[:, pairs.first + pairs.row]
+        values = length**2 * pairs.kernel * (a + bx * x + by * y)
+        blocks.append(pairs.matrix(values, len(position)))
+    return sparse.vstack(blocks, "csr")
 
 
 def _stacked(blocks: Iterable[Sequence[Matrix]]) -> list[Matrix]:

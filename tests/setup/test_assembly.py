@@ -30,7 +30,7 @@ def test_lid_driven_cavity(case_of) -> None:
     assert functional.ghosts is not None
     assert len(functional.ghosts.walls.position) == 48**2 - 40**2
     assert functional.ghosts.walls.velocity[:, 0].max() == 3.0
-    assert functional.discretization.wall_kind == "adjoint"
+    assert functional.discretization.wall_kind == "mirrored"
     assert not functional.discretization.free_slip
     assert functional.discretization.acoustic_damping == 1.0
     assert functional.discretization.shifting_transport == "advective"

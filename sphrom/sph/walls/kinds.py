@@ -25,6 +25,8 @@ class WallKind:
     """Whether it has matrices at fixed points, with D = -G^T."""
     along_axes: bool = True
     """Whether it is for walls along the axes only."""
+    below_surfaces: bool = True
+    """Whether it is for fluid with a free surface, too."""
     wave_number: float = LARGEST_WAVE_NUMBER
     """Largest wave number of sound beside its walls, times h."""
     viscous_limit: float = 0.22
@@ -40,10 +42,21 @@ class WallKind:
 
 
 KINDS: Mapping[str, WallKind] = {
+    "mirrored": WallKind(
+        "mirrored:Mirrored",
+        "pressure of a linear fit around each ghost's mirror point in the fluid (compare English "
+        "et al. 2022), velocity extrapolated from each particle through the wall (Morris et al. "
+        "1997), and minus the transpose of the pressure force in continuity",
+        at_fixed_points=True,
+        along_axes=False,
+        below_surfaces=False,
+        wave_number=1.47,
+        viscous_limit=0.21,
+        stiffer_at_corners=0.15,
+    ),
     "adjoint": WallKind(
         "rules:Adjoint",
-        "velocity extrapolated from each particle through the wall (Morris et al. 1997), and minus "
-        "the transpose of the pressure force in continuity",
+        "velocity extrapolated, and minus the transpose of the pressure force in continuity",
         at_fixed_points=True,
         along_axes=False,
     ),

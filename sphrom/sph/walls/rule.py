@@ -3,13 +3,13 @@
 After Adami, Hu and Adams (J. Comput. Phys. 231, 2012). Ghosts fill the lattice beyond the fluid's
 domain to the depth of the kernel's reach. A ghost's pressure is interpolated from the fluid, with
 the weight of the fluid in between added. A rule decides their velocity and their share in the
-continuity equation; it may replace any other method of `WallRule`, too.
+continuity equation; it may replace any other method of `WallRule`, too, such as the interpolation.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -30,8 +30,8 @@ from sphrom.sph.polygons import jutting_corners
 if TYPE_CHECKING:
     from sphrom.sph.point_sums import GhostSums
 
-CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
-"""Distances from a wall over the spacing: the least allowed; the first layer's; the second's."""
+FELT = 1.5
+"""Distance of the second layer from a wall, over the spacing."""
 SHARE_SLOPE = 0.78
 """Integral of the kernel along a line through its centre, times the smoothing length."""
 THIN_SHARE = 0.2
@@ -49,6 +49,12 @@ class WallRule(ABC):
     """Relative increase of the ghosts' depth at a right angle."""
     nearest: ClassVar[float] = 0.5
     """Least distance from a wall, over the spacing, for the extrapolation of velocities."""
+    closest: ClassVar[float] = 0.25
+    """Least distance from a wall that shifting allows, over the spacing."""
+    touching: ClassVar[float] = 0.5
+    """Distance from a wall at which shifting stops pushing towards it, over the spacing."""
+    adds_heads: ClassVar[bool] = True
+    """Whether a body force adds the weight of the fluid in between to the pressure of ghosts."""
 
     def __init__(
         self, walls: Walls, domain: Domain, fluid: Fluid, discretization: Discretization
@@ -69,7 +75,8 @@ class WallRule(ABC):
         """(2, n_ghosts), 1 along the normals of their walls, else 0."""
         self._into_fluid = domain.distance_and_normal(walls.position)[1].T
         # Fluid may have left the box along a periodic axis since the last wrap.
-        margin = discretization.support_radius + 2.0 * MOVE_RATIO * spacing
+        self._drift = 2.0 * MOVE_RATIO * spacing
+        margin = discretization.support_radius + self._drift
         self._near = sort_sources(self._position, domain, margin, spacing)
         self._full_weights = (
             self._weights_beside_all(domain) if discretization.free_surface else None
@@ -88,7 +95,7 @@ class WallRule(ABC):
         ]
 
     def interpolated(self, source: Array, search: Search) -> Array:
-        """Return the rows (5, n_ghosts) of `ghost_fields.ghost_means`."""
+        """Return the rows (5, n_ghosts) of `ghost_fields.ghost_means`; a rule may add some."""
         means = np.empty((5, self._position.shape[1]))
         ghost_fields.ghost_means(self._position, source, search, means)
         return means
@@ -134,9 +141,10 @@ class WallRule(ABC):
         body_force : (2, n_particles) [m/s2], or None.
         wall_speed : factor of the walls' velocity, or one for each ghost (n_ghosts,).
         """
-        fluctuation, u, v, weights, flux = self.interpolated(source, search)
+        means = self.interpolated(source, search)
+        fluctuation, u, v, weights, flux = means[:5]
         share: Array | float = 1.0
-        if body_force is not None:
+        if body_force is not None and self.adds_heads:
             density = self.fluid.reference_density + source[fields.DENSITY]
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
@@ -159,7 +167,7 @@ class WallRule(ABC):
         ghost[fields.PRESSURE] = fluctuation
         ghost[fields.DEPTH] = self._depth
         self.enter_continuity(ghost, weights, flux)
-        return WallTerms(self, sources, source, ghost, weights, search)
+        return WallTerms(self, sources, source, ghost, means, search)
 
     @classmethod
     def depths(cls, domain: Domain, ghost: Array, discretization: Discretization) -> Array:
@@ -168,8 +176,8 @@ class WallRule(ABC):
         They are distances from the fluid d, increased behind corners that jut into it. There
         friction is singular (Moffatt, J. Fluid Mech. 18, 1964), and particles a spacing apart
         resolve only part of it, so a solid acts as if it were smaller. The missing part has one
-        form for all flows past one angle, and one number compensates for it:
-        d (1 + 3 tan^2(turn / 2) W(r) / W(0)), r from the corner.
+        form for all flows past one angle, and one number c (`deeper_at_corners`) compensates for
+        it: d (1 + c tan^2(turn / 2) W(r) / W(0)), r from the corner.
         """
         depth = np.maximum(-domain.distance_and_normal(ghost)[0], 0.0)
         if cls.deeper_at_corners == 0.0:
@@ -210,6 +218,20 @@ class WallRule(ABC):
         weights, flux : (n_ghosts,) the sum of the kernel [1/m2]; the flux towards the ghost [1/s].
         """
 
+    def give_back(self, beside: WallTerms, out: Array) -> None:  # noqa: B027 - optional
+        """Subtract the flux into walls from the divergence (n_particles,) [1/s] of the fluid.
+
+        That is the work of rules that do not return it by the rows of ghosts.
+        """
+
+    def damp(self, beside: WallTerms, damping: Array) -> None:
+        """Add the damper's pressure of the fluid's sources (n_sources,), over c0^2, to ghosts."""
+        ghost = beside.ghost
+        weights = beside.means[3]
+        out = ghost[fields.PRESSURE]
+        source = beside.source
+        ghost_fields.ghost_damping(ghost[:2], source, damping, weights, beside.search, out)
+
     @classmethod
     def sums_at(
         cls, position: Array, walls: Walls, domain: Domain, discretization: Discretization
@@ -237,19 +259,23 @@ class WallTerms:
     """The fields of the fluid's sources."""
     ghost: Array
     """(n_fields, n_ghosts) the fields of ghosts."""
-    weights: Array
-    """(n_ghosts,) the sum of the kernel at ghosts [1/m2]."""
+    means: Array
+    """The fields that ghosts took from the fluid, by `WallRule.interpolated`."""
     search: Search
     """With which ghosts search the fluid."""
+
+    distance: Array = field(init=False)
+    """(n_targets,) of the particles from walls [m]."""
 
     def __post_init__(self) -> None:
         ghosts = self.ghosts
         sources = self.sources
         self._gathered = ghosts.gathered(self.ghost)
         discretization = ghosts.discretization
-        distance = ghosts.search_walls.distances(sources.targets, self.source)
-        near = distance < discretization.support_radius
-        self._distance = np.maximum(distance, ghosts.nearest * discretization.particle_spacing)
+        self.distance = ghosts.search_walls.distances(sources.targets, self.source)
+        near = self.distance < discretization.support_radius
+        nearest = ghosts.nearest * discretization.particle_spacing
+        self._distance = np.maximum(self.distance, nearest)
         self._beside = fields.BesideWalls(
             sources.particle, sources.targets[near], self.source, self._distance[near]
         )
@@ -259,21 +285,13 @@ class WallTerms:
         out = np.zeros((6, self.sources.targets.size))
         search = self.ghosts.search
         wall_sweeps.wall_regularity(self._beside, self._gathered, search, constants, out)
+        self.ghosts.give_back(self, out[5])
         return out
 
     def damp(self, pressure: Array) -> None:
         """Set the damper's pressure of ghosts, given that of the fluid's sources (n_sources,)."""
-        ghost = self.ghost
-        damping = pressure - self.source[fields.DENSITY]
-        ghost_fields.ghost_damping(
-            ghost[:2],
-            self.source,
-            damping,
-            self.weights,
-            self.search,
-            ghost[fields.PRESSURE],
-        )
-        self._gathered = self.ghosts.gathered(ghost)
+        self.ghosts.damp(self, pressure - self.source[fields.DENSITY])
+        self._gathered = self.ghosts.gathered(self.ghost)
 
     def hold_back(self, shifting_velocity: Array, against: float = 1.0) -> None:
         """Limit shifting velocities (2, n_particles), so that no particle crosses a wall.
@@ -284,7 +302,8 @@ class WallTerms:
         spacing = self.ghosts.discretization.particle_spacing
         # Only shifting moves particles away from walls again.
         least = spacing if self.ghosts.discretization.shifting else 0.5 * spacing
-        limits = Limits(CLOSEST * least, TOUCHING * least, FELT * spacing, against)
+        ghosts = self.ghosts
+        limits = Limits(ghosts.closest * least, ghosts.touching * least, FELT * spacing, against)
         search.kernels.hold_back(self._beside, *search.lists, limits, shifting_velocity)
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:

@@ -1,0 +1,121 @@
+"""The rule whose ghosts have the pressure of a linear fit around their mirror points in the fluid.
+
+Compare English et al. (Comput. Part. Mech. 9, 2022). A ghost's mean pressure is that of the fluid
+which it sees, at a centroid nearer than its mirror point: the sums then find about half of a linear
+pressure's gradient beside a wall. The fit is exact for linear pressures, so it needs no heads.
+
+Mirror points are at least h from the wall. Fits nearer to it continue short waves more steeply: the
+largest wave number of sound at a flat wall would be 1.60 / h, and not 1.37 / h, as without walls
+1.14 / h. The pressure of slow flow beside a moving wall is more accurate so, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sphrom.arrays import Array
+from sphrom.kernels import fields, mirror_fits
+from sphrom.kernels.cells import Search
+from sphrom.kernels.sweeps import gather
+from sphrom.sph.domain import Domain, Walls
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.neighbourhood import sort_sources
+from sphrom.sph.walls.rule import WallTerms
+from sphrom.sph.walls.rules import Adjoint
+
+if TYPE_CHECKING:
+    from sphrom.sph.point_sums import GhostSums
+
+FLUX = 4
+"""Row of the interpolated fields with the flux towards a ghost."""
+FITS = slice(5, 8)
+"""Rows of the interpolated fields with the fit around a ghost's mirror point."""
+
+
+def mirror_points(position: Array, domain: Domain, least: float) -> tuple[Array, Array]:
+    """Return the mirror points (2, n_ghosts) [m] of ghosts, and the ways to them (2, n_ghosts) [m].
+
+    Where these would be in another solid, they are nearer to the wall.
+
+    Parameters
+    ----------
+    position : (n_ghosts, 2) [m].
+    least : distance from the wall [m] of the mirror points of ghosts that are nearer to it.
+    """
+    distance, normal = domain.distance_and_normal(position)
+    depth = np.maximum(np.abs(distance), least)
+    beyond = np.ones(len(depth), dtype=bool)
+    while beyond.any():
+        way = (np.abs(distance) + depth)[:, None] * normal
+        mirror = domain.wrap(position + way)
+        beyond = domain.distance_and_normal(mirror)[0] <= 0.0
+        depth[beyond] *= 0.5
+    return np.ascontiguousarray(mirror.T), np.ascontiguousarray(way.T)
+
+
+class Mirrored(Adjoint):
+    """Pressure is continued linearly, velocities are extrapolated, and walls return their flux."""
+
+    # By slow flow past seven polygons at 8 spacings a side, whose flow rates are off by 1 % r.m.s.
+    # (1.7 and 1.1 % with 2 and 3); past a square at 8 and 12 by 0.4 and 0.2 %. At fixed points 3
+    # would be right, but moving particles nearer than half a spacing add to the friction.
+    deeper_at_corners = 2.5
+    nearest = 0.35
+    closest = 0.1
+    touching = 0.2
+    adds_heads = False
+
+    def __init__(
+        self, walls: Walls, domain: Domain, fluid: Fluid, discretization: Discretization
+    ) -> None:
+        super().__init__(walls, domain, fluid, discretization)
+        self._mirror, way = mirror_points(walls.position, domain, discretization.smoothing_length)
+        self._from_mirror = -way
+        reach = discretization.support_radius
+        self._felt = reach + float(domain.wall_distance(self._mirror.T).max(initial=0.0))
+        spacing = discretization.particle_spacing
+        self._near_mirror = sort_sources(self._mirror, domain, reach + self._drift, spacing)
+
+    def interpolated(self, source: Array, search: Search) -> Array:
+        means = np.empty((FITS.stop, self._mirror.shape[1]))
+        means[: FITS.start] = super().interpolated(source, search)
+        fits = means[FITS]
+        mirror_fits.mirror_fits(self._mirror, self._from_mirror, source, search, fits)
+        density = source[fields.DENSITY]
+        mirror_fits.continued(self._mirror, fits, source, density, search, means[0])
+        return means
+
+    def enter_continuity(self, ghost: Array, weights: Array, flux: Array) -> None:
+        """Leave the rows of ghosts as they are: the flux returns to their mirror points."""
+
+    def give_back(self, beside: WallTerms, out: Array) -> None:
+        returned = beside.ghost[fields.VOLUME] * beside.means[FLUX]
+        near = self._near_mirror
+        rows = np.vstack((self._mirror, returned * beside.means[FITS]))
+        mirrored = np.empty((len(rows), near.particle.size))
+        gather(near.particle, near.image, rows, fields.X, mirrored)
+        sizes = self.discretization
+        search = near.search(sizes.support_radius, sizes.smoothing_length)
+        sources = beside.sources
+        targets = sources.targets[beside.distance < self._felt]
+        mirror_fits.give_back(sources.particle, targets, beside.source, mirrored, search, out)
+
+    def damp(self, beside: WallTerms, damping: Array) -> None:
+        added = np.empty(self._mirror.shape[1])
+        fits = beside.means[FITS]
+        mirror_fits.continued(self._mirror, fits, beside.source, damping, beside.search, added)
+        beside.ghost[fields.PRESSURE] += added
+
+    @classmethod
+    def sums_at(
+        cls, position: Array, walls: Walls, domain: Domain, discretization: Discretization
+    ) -> GhostSums:
+        from sphrom.sph.point_sums import mirror_matrix  # importing scipy.sparse takes long
+
+        sums = super().sums_at(position, walls, domain, discretization)
+        mirror, way = mirror_points(walls.position, domain, discretization.smoothing_length)
+        mean = mirror_matrix(position, mirror, -way, domain, discretization)
+        return replace(sums, mean=mean, head=None)
