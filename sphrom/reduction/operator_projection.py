@@ -20,6 +20,7 @@ from sphrom.arrays import Array
 from sphrom.reduction.forms import Part, PointFields, Sound, parts_of, rates_of, weighted
 from sphrom.reduction.mode_fields import BLOCK_VALUES, blocks, mode_fields, weighted_rows
 from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.own_pressure import PressureBalance
 from sphrom.reduction.reduced_operators import (
     ReducedOperators,
     ResidualFactor,
@@ -27,7 +28,7 @@ from sphrom.reduction.reduced_operators import (
     pack,
     unpack,
 )
-from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 from sphrom.sph.fixed_points import FixedPoints
 
 Advance = Callable[[int], None]
@@ -115,6 +116,42 @@ def residual_factor(
     reduced = np.asarray(values[kept, None] * directions[kept] / scale)
     by_part = zip(parts, np.split(reduced, np.cumsum(widths)[:-1], axis=1), strict=True)
     return ResidualFactor.of_parts(dict(by_part), points.drives, walls_driven=points.walls_driven)
+
+
+def project_pressure(
+    points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None, pressures: TrialBasis
+) -> PressureBalance:
+    """Project the balance of momentum onto the gradients of pressure modes.
+
+    Parameters
+    ----------
+    splines : those of the basis; without them, gradients are sums over the points.
+    pressures : the modes, of which only the pressure counts. Both products are acoustic.
+    """
+    modes = mode_fields(basis, points)
+    own = mode_fields(pressures, points).scaled_density
+    at_rest = np.zeros((2, *own.shape))
+    pushes = points.sound_speed * points.terms(own, at_rest).pressure_gradient
+    tests = (pushes * basis.weights[:, None]).transpose(2, 0, 1)
+
+    def weigh(rows: slice) -> Array:
+        some = tests[..., rows]
+        return np.concatenate((np.zeros_like(some), some), axis=1)
+
+    states = PointFields.of_states(points, basis, splines)
+    sums = _weighted_sums(states, parts_of(points), weigh)
+    width = sums["inertia"].shape[1]
+    columns = tests.reshape(len(tests), -1)
+    density = modes.scaled_density - weighted_mean(modes.scaled_density.T, basis.weights)
+    return PressureBalance(
+        parts={
+            name.replace("/", "."): np.pad(x, ((0, 0), (0, width - x.shape[1])))
+            for name, x in sums.items()
+        },
+        gradients=columns @ pushes.reshape(-1, len(tests)),
+        rates=columns @ modes.velocity.reshape(-1, basis.n_modes),
+        joint=(density.T * basis.weights) @ own,
+    )
 
 
 def _residual_columns(

@@ -25,6 +25,7 @@ from sphrom.metrics.measures import Quantities
 from sphrom.reduction import polynomial_model
 from sphrom.reduction.correction import faded
 from sphrom.reduction.exponential_steps import ExponentialModel, LinearPart
+from sphrom.reduction.own_pressure import PointPressure
 from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.trial_basis import JOINT, TrialBasis
@@ -65,6 +66,8 @@ class ReferenceModel:
     """Forces on walls, by name of the measurement."""
     measures: Mapping[str, ReducedMeasure] = field(default_factory=dict)
     """Flow rates and fields at places, by name of the measurement."""
+    pressure: PointPressure | None = None
+    """The coordinates of pressure modes; None if the pressure is that of the modes."""
 
     @cached_property
     def strongest(self) -> float:
@@ -112,12 +115,32 @@ class ReferenceModel:
             leading = replace(leading, linear=other.leading.linear)
         return replace(self, linear=other.linear, leading=leading)
 
-    def measured(self, coordinates: Array, mean: Array | float) -> dict[str, Quantities]:
-        """Return measurements in the fluid by name, for coordinates (n_states, n_modes).
+    def amplitudes(self, time: Array) -> Array:
+        """Return the amplitude (n_times,) at times [s]."""
+        return np.zeros(len(time)) if self.amplitude is None else self.amplitude(time)
+
+    def with_pressure(self, time: Array, coordinates: Array) -> Array:
+        """Return coordinates (n_states, n_modes), then those of the model's own pressure modes.
+
+        `time` is (n_states,) [s].
+        """
+        if (pressure := self.pressure) is None:
+            return coordinates
+        own = pressure.polynomial.along(coordinates, self.amplitudes(time))
+        if pressure.correction is not None:
+            known = self.output_times
+            added = faded(pressure.correction, known.n_snapshots)
+            snapshots = (time - known.start_time) / known.interval
+            numbers = np.arange(len(added))
+            own += np.stack([np.interp(snapshots, numbers, one) for one in added.T], axis=1)
+        return np.concatenate((coordinates, own), axis=1)
+
+    def measured(self, states: Array, mean: Array | float) -> dict[str, Quantities]:
+        """Return measurements in the fluid by name, for states from `with_pressure`.
 
         `mean` is the separate density fluctuation [kg/m3], (n_states,) or one for all.
         """
-        return {name: measure.at(coordinates, mean) for name, measure in self.measures.items()}
+        return {name: measure.at(states, mean) for name, measure in self.measures.items()}
 
     def spread(self, leading: Array) -> Array:
         """Return coordinates (..., n_modes) with the leading ones, and zero for the others."""

@@ -22,7 +22,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
 from sphrom.models.contract import Model, ModelRun
-from sphrom.models.points.basis_model import BasisModel, quantities_of
+from sphrom.models.points.basis_model import BasisModel, quantities_of, with_pressures
 from sphrom.models.points.error_estimates import (
     ErrorEstimate,
     Pair,
@@ -31,7 +31,7 @@ from sphrom.models.points.error_estimates import (
     measured_sizes,
 )
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
-from sphrom.models.reference.stored import read_modes
+from sphrom.models.reference.stored import read_values
 from sphrom.models.starts import RunStarts
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
@@ -41,7 +41,7 @@ from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
     from sphrom.models.points.sensitivities import Tangents
-    from sphrom.reduction.mode_splines import ModeSplines
+    from sphrom.reduction.mode_splines import Values
 
 DOUBTFUL = 50.0
 """Estimated error from which a run is doubtful [%]; errors are up to twice their estimates."""
@@ -92,17 +92,18 @@ class FastModel(Model[ReferenceModel]):
         )
         section = self.section.model_copy(update={"n_modes": basis.n_modes})
 
-        def splines() -> ModeSplines:
+        def values() -> Values:
             if not self._is_alone:
-                return read_modes(self.workspace, name, basis.n_modes)[1]
+                own = trained.own_pressure is not None
+                return read_values(self.workspace, name, basis.n_modes, own_pressure=own)
             from sphrom.models.reference.splines import fit  # few programs need it
 
             points = stored.reference_position
             report = self.workspace.context.report
-            return fit(case, points, basis, name, report)
+            return fit(case, points, with_pressures(basis, trained), name, report).values
 
         start = self._starts.at
-        return BasisModel(self.workspace, section, name, trained, basis, start, splines)
+        return BasisModel(self.workspace, section, name, trained, basis, start, values)
 
     def at_point(self, point: ParameterPoint) -> BasisModel:
         """Return the model with its basis at a parameter point."""
@@ -208,6 +209,11 @@ class FastRun(ModelRun):
             f"largest trained ones; {'other modes' if chosen else 'a smaller time step'} may help"
         )
 
+    @cached_property
+    def states(self) -> Array:
+        """(n_snapshots, n) coordinates, then those of own pressure modes, if there are any."""
+        return self.reduced.with_pressure(self.time, self.coordinates)
+
     @property
     def kinetic_energy(self) -> Array:
         """The kinetic energy (n_snapshots,) [J/m]."""
@@ -277,4 +283,4 @@ class FastRun(ModelRun):
     def sampled(self, points: Array) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], by the splines of the modes."""
         mean = self.reduced.mean_density_fluctuation
-        return self.model.at_point(self.point).sampled(points, self.time, self.coordinates, mean)
+        return self.model.at_point(self.point).sampled(points, self.time, self.states, mean)

@@ -31,13 +31,23 @@ from sphrom.models.points.stored import (
     snapshot_times,
     stored_starts,
 )
-from sphrom.models.reference.stored import read_basis, read_modes
-from sphrom.reduction.calibration import Calibration
-from sphrom.reduction.correction import UNLIMITED, Correction, learn_correction
+from sphrom.models.reference.stored import read_basis, read_values
+from sphrom.plots.tables import format_figure
+from sphrom.reduction.calibration import Calibration, TrainingRun
+from sphrom.reduction.correction import interpolated, learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
-from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.mode_splines import Values
+from sphrom.reduction.own_pressure import (
+    CANDIDATES,
+    JOINT,
+    OwnPressure,
+    PressureSpace,
+    choose,
+    expected_errors,
+    fitted,
+)
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reference_model import ReferenceModel
@@ -67,6 +77,8 @@ def trained_model(
     models = {name: train(workspace, section, name, start) for name in names}
     if any(model.problem is not None for model in models.values()):
         return None
+    for name, model in models.items():
+        _report_pressure(model, name)
     with workspace.open(workspace.basis()) as artifact:
         return TrainedModel(
             bases={name: model.trained for name, model in models.items()},
@@ -90,6 +102,20 @@ def train(
     # Sums over arrays in this order have the bits of a model that is read from its artifact.
     model.trained = model.trained.mapped(np.ascontiguousarray)
     return model
+
+
+def _report_pressure(model: BasisModel, basis: str) -> None:
+    """Report the errors of all candidates for the pressure, and which of them was chosen."""
+    trained = model.trained
+    if (errors := trained.pressure_errors) is None:
+        return
+    (chosen,) = trained.pressure or (JOINT,)
+    expected = zip(CANDIDATES, expected_errors(errors, trained.places), strict=True)
+    model.workspace.context.report.table(
+        f"pressure of {model.section.name}, basis {basis}: {chosen}, by held-out training runs",
+        ("pressure", "error [%]"),
+        [(name, format_figure(100.0 * error)) for name, error in expected],
+    )
 
 
 class _Training:
@@ -133,7 +159,7 @@ class _Training:
             rates=rates,
             first_step=np.zeros(len(self.points)),
             forces=self._forces(rates[ALL_MODES].closure),
-            measures=self._measures(),
+            measures=self._measures(self.modes),
         )
         trained = replace(trained, rates=self._with_linear_parts(trained))
         model = self._with(trained)
@@ -147,11 +173,12 @@ class _Training:
         return self._learnt(trained, models, runs)
 
     def _with(self, trained: TrainedBasis) -> BasisModel:
-        def splines() -> ModeSplines:
-            return read_modes(self.workspace, self.name, self.section.size)[1]
+        def values() -> Values:
+            own = trained.own_pressure is not None
+            return read_values(self.workspace, self.name, self.section.size, own_pressure=own)
 
         return BasisModel(
-            self.workspace, self.section, self.name, trained, self.basis, self.start, splines
+            self.workspace, self.section, self.name, trained, self.basis, self.start, values
         )
 
     def _learnt(
@@ -173,6 +200,8 @@ class _Training:
             groups = np.split(self.modes, [self._n_integrated()])
             learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
             trained = replace(trained, correction=learnt)
+        if self.stored.pressure is not None and not self.section.settles_on_cycles:
+            trained = self._with_own_pressure(trained, models, coordinates, self.stored.pressure)
         if not self.section.settles_on_cycles:
             trained = replace(trained, forces=self._corrected_forces(trained, models, coordinates))
         if self.case.plan.has_error_estimate(self.name):
@@ -253,12 +282,55 @@ class _Training:
             )
         return forces
 
-    def _measures(self) -> dict[str, ReducedMeasure]:
-        """Return the measured fields."""
+    def _measures(self, modes: Indices) -> dict[str, ReducedMeasure]:
+        """Return the measured fields, of some of the modes and pressure modes."""
         return {
-            name: ReducedMeasure.of(measure).of_modes(self.modes)
+            name: ReducedMeasure.of(measure).of_modes(modes)
             for name, measure in self.stored.measure.items()
         }
+
+    def _with_own_pressure(
+        self,
+        trained: TrainedBasis,
+        models: Sequence[ReferenceModel],
+        coordinates: Array,
+        stored: PressureSpace,
+    ) -> TrainedBasis:
+        """Return the model with the pressure that is the best one in held-out training runs."""
+        model = self._with(trained)
+        space = stored.of_modes(self.modes)
+        driven = trained.rates[ALL_MODES].operators.walls_driven
+        runs, predicted = {}, {}
+        for k, (point, reduced, run) in enumerate(
+            zip(self.points, models, coordinates, strict=True)
+        ):
+            viscosity = self.case.plan.kinematic_viscosity(point)
+            amplitude = reduced.amplitudes(self.times)
+            given = reduced.polynomial, run, viscosity, amplitude, point.factors
+            found = TrainingRun(*given)
+            if np.isfinite(run).all():
+                runs[k], predicted[k] = (
+                    replace(found, coordinates=_with(run, model.added(point, held_out)))
+                    for held_out in (False, True)
+                )
+        if len(runs) < 2 or not all(space.squares[k].any() for k in runs):
+            return trained
+        chosen, errors = choose(space, runs, predicted, trained.places, driven)
+        trained = replace(trained, pressure_errors=errors)
+        base = np.eye(len(space.modes), len(space.gradients))
+        own = fitted(space, base, chosen, runs, trained.places, driven)
+        if chosen == JOINT:
+            return trained
+        return replace(
+            trained,
+            pressure={chosen: replace(own, modes=space.modes)},
+            measures=self._measures(self._used(space)),
+        )
+
+    def _used(self, own: PressureSpace | OwnPressure | None) -> Indices:
+        """Return the numbers of the modes and of own pressure modes, which follow all modes."""
+        n_own = 0 if own is None else len(own.modes)
+        return np.append(self.modes, self.n_all_modes + np.arange(n_own))
 
     def _corrected_forces(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
@@ -267,9 +339,8 @@ class _Training:
         model = self._with(trained)
         modelled = []
         for point, reduced, run in zip(self.points, models, coordinates, strict=True):
-            added = model.added(point)
             forces = {name: model.force_at(name, point) for name in trained.forces}
-            states = run if added is None else run + added
+            states = _with(run, model.added(point))
             modelled.append(forces_of(replace(reduced, forces=forces), self.times, states))
         places = trained.places
         weights = sound_averages(self.case)
@@ -282,11 +353,7 @@ class _Training:
             # Sound and particle noise may differ from run to run.
             parts = np.concatenate((slow, defects - slow), axis=2)
             each_load = list(np.arange(parts.shape[2])[:, None])
-            correction = learn_correction(places, parts, each_load, worthwhile=math.inf)
-            if len(places) == 1 and np.isfinite(defects).all():
-                # A single run does not determine the correlation length.
-                lengths = np.full(parts.shape[2], UNLIMITED)
-                correction = Correction(places=places, defects=parts, lengths=lengths)
+            correction = interpolated(places, parts, each_load)
             found[name] = replace(force, correction=correction)
         return found
 
@@ -300,7 +367,10 @@ class _Training:
         estimate = self.stored.estimate
         assert factor is not None
         assert estimate is not None
-        products = FieldProducts.of(estimate).only(self.modes, self.n_all_modes)
+        space = self.stored.pressure
+        n_columns = self.n_all_modes + (0 if space is None else len(space.modes))
+        used = self._used(trained.own_pressure)
+        products = FieldProducts.of(estimate).only(used, n_columns)
         scale = self.case.fluid.reference_density * self.case.plan.sound_speed
         compared = compared_snapshots(self.case.plan.steps.n_snapshots)
         errors = TrainedErrors(
@@ -312,12 +382,12 @@ class _Training:
         for k, (point, reduced) in enumerate(zip(self.points, models, strict=True)):
             corrected = model.corrected(reduced, point, held_out=True)
             run = coordinates[k]
-            predicted = run if corrected.correction is None else run + corrected.correction
+            predicted = _with(run, corrected.correction)
             held_out.append((corrected, predicted))
-            learnt = trained.correction
-            own.append(run if learnt is None else run + learnt.at(trained.places[k]))
+            own.append(_with(run, model.added(point)))
             residuals.append(model.residual(errors, point, reduced, self.times, predicted))
-            known.append(products.errors(k, predicted[compared]))
+            states = corrected.with_pressure(self.times, predicted)
+            known.append(products.errors(k, states[compared]))
         fitted = calibrate_errors(
             self.times,
             np.stack(own),
@@ -355,3 +425,8 @@ class _Training:
             }
             found[name] = Differences(quantities=quantities)
         return found
+
+
+def _with(run: Array, added: Array | None) -> Array:
+    """Return coordinates with a correction, if there is one."""
+    return run if added is None else run + added
