@@ -29,7 +29,7 @@ from sphrom.reduction.reduced_operators import (
     unpack,
 )
 from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
-from sphrom.sph.fixed_points import FixedPoints
+from sphrom.sph.fixed_points import N_BLOCK_FIELDS, FixedPoints
 
 Advance = Callable[[int], None]
 """Called with the number of points that were completed."""
@@ -130,28 +130,37 @@ def project_pressure(
     """
     modes = mode_fields(basis, points)
     own = mode_fields(pressures, points).scaled_density
-    at_rest = np.zeros((2, *own.shape))
-    pushes = points.sound_speed * points.terms(own, at_rest).pressure_gradient
-    tests = (pushes * basis.weights[:, None]).transpose(2, 0, 1)
+    weights = basis.weights[:, None]
+    pushes = np.concatenate(
+        [_pushed(points, own[:, some]) for some in blocks(own.shape[1], N_BLOCK_FIELDS)], axis=2
+    )
 
     def weigh(rows: slice) -> Array:
-        some = tests[..., rows]
-        return np.concatenate((np.zeros_like(some), some), axis=1)
+        tests = (pushes[:, rows] * weights[rows]).transpose(2, 0, 1)
+        return np.concatenate((np.zeros_like(tests), tests), axis=1)
+
+    def products(fields: Array) -> Array:
+        return sum((p * weights).T @ f for p, f in zip(pushes, fields, strict=True))
 
     states = PointFields.of_states(points, basis, splines)
     sums = _weighted_sums(states, parts_of(points), weigh)
     width = sums["inertia"].shape[1]
-    columns = tests.reshape(len(tests), -1)
     density = modes.scaled_density - weighted_mean(modes.scaled_density.T, basis.weights)
     return PressureBalance(
         parts={
             name.replace("/", "."): np.pad(x, ((0, 0), (0, width - x.shape[1])))
             for name, x in sums.items()
         },
-        gradients=columns @ pushes.reshape(-1, len(tests)),
-        rates=columns @ modes.velocity.reshape(-1, basis.n_modes),
-        joint=(density.T * basis.weights) @ own,
+        gradients=products(pushes),
+        rates=products(modes.velocity),
+        joint=(density * weights).T @ own,
     )
+
+
+def _pushed(points: FixedPoints, scaled_density: Array) -> Array:
+    """Return c0 G q (2, n_points, n_fields) [1/s2] of pressures (n_points, n_fields)."""
+    at_rest = np.zeros((2, *scaled_density.shape))
+    return points.sound_speed * points.terms(scaled_density, at_rest).pressure_gradient
 
 
 def _residual_columns(

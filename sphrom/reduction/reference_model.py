@@ -127,12 +127,15 @@ class ReferenceModel:
         if (pressure := self.pressure) is None:
             return coordinates
         own = pressure.polynomial.along(coordinates, self.amplitudes(time))
-        if pressure.correction is not None:
-            known = self.output_times
-            added = faded(pressure.correction, known.n_snapshots)
-            snapshots = (time - known.start_time) / known.interval
-            numbers = np.arange(len(added))
-            own += np.stack([np.interp(snapshots, numbers, one) for one in added.T], axis=1)
+        if (correction := pressure.correction) is not None:
+            times = self.output_times
+            share = np.ones((len(correction), 1))
+            known = faded(np.hstack((correction, share)), times.n_snapshots)
+            snapshots = (time - times.start_time) / times.interval
+            numbers = np.arange(len(known))
+            added = np.stack([np.interp(snapshots, numbers, one) for one in known.T], axis=1)
+            # Without what training runs add, the rest may be worse than no own modes.
+            own = added[:, -1:] * own + added[:, :-1]
         return np.concatenate((coordinates, own), axis=1)
 
     def measured(self, states: Array, mean: Array | float) -> dict[str, Quantities]:

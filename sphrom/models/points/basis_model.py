@@ -125,7 +125,9 @@ class BasisModel:
     @cached_property
     def whole(self) -> TrialBasis:
         """The model's modes, and then its own pressure modes."""
-        return with_pressures(self.basis, self.trained)
+        if (own := self.trained.own_pressure) is None:
+            return self.basis
+        return joined(self.basis, of_pressures(self.basis, own.modes))
 
     def sampled(self, points: Array, time: Array, states: Array, mean: float) -> Samples:
         """Return velocity and pressure at points (n_points, 2) for states of `whole`.
@@ -339,13 +341,6 @@ class BasisModel:
         )
 
 
-def with_pressures(basis: TrialBasis, trained: TrainedBasis) -> TrialBasis:
-    """Return the modes of a trained model, and then its own pressure modes."""
-    if (own := trained.own_pressure) is None:
-        return basis
-    return joined(basis, of_pressures(basis, own.modes))
-
-
 def _learnt(correction: Correction | None, place: Array, held_out: bool) -> Array | None:
     """Return a correction at a place; for a training run, from the other runs only."""
     if correction is None:
@@ -405,6 +400,7 @@ def quantities_of(
     mean = reduced.mean_density_fluctuation if mean is None else mean
     forces = forces_of(reduced, time, coordinates, mean)
     measured = {name: totals(loads) for name, loads in forces.items()}
-    measured |= reduced.measured(reduced.with_pressure(time, coordinates), mean)
+    if reduced.measures:
+        measured |= reduced.measured(reduced.with_pressure(time, coordinates), mean)
     ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
     return with_coefficients(ordered, case.plan.coefficients)

@@ -112,12 +112,14 @@ class _Projection:
         with self.report.progress(f"operators, basis {name}", points.n_points) as advance:
             self.operators = project_operators(points, self.basis, self.splines, advance=advance)
         self.compared = compared_snapshots(self.case.plan.steps.n_snapshots)
-        self.whole, self.pressure_splines = self.basis, None
+        self.whole = self.basis
+        self.pressure_splines = None
         self.pressures = self._pressures()
         if self.pressures is not None:
-            own = of_pressures(self.basis, self.pressures.modes)
-            self.whole = joined(self.basis, own)
-            self.pressure_splines = fit(self.case, points.position, own, name, self.report)
+            self.whole = joined(self.basis, of_pressures(self.basis, self.pressures.modes))
+            columns = np.ascontiguousarray(self.pressures.modes.T)
+            label = f"pressure {name}"
+            self.pressure_splines = fit(self.case, points.position, columns, label, self.report)
 
     def stored(self, artifact: ArtifactWriter) -> BasisOperators:
         """Project everything, report it, and return the record to store; time the parts."""
@@ -169,14 +171,16 @@ class _Projection:
         balance = project_pressure(self.points, self.basis, self.splines, of_modes)
         coordinates, squares = [], []
         for _, densities, _ in mapped_runs(self.workspace, self.name):
-            pressures = self._pressure_of(densities[:])
-            coordinates.append((pressures * weights) @ modes.T)
-            squares.append(pressures**2 @ weights)
+            for first in range(0, len(densities), N_AT_ONCE):
+                pressures = self._pressure_of(densities[first : first + N_AT_ONCE])
+                coordinates.append((pressures * weights) @ modes.T)
+                squares.append(pressures**2 @ weights)
+        shape = len(self.trained), -1
         return PressureSpace(
             **vars(balance),
             modes=modes[: self.basis.n_modes],
-            coordinates=np.stack(coordinates),
-            squares=np.stack(squares),
+            coordinates=np.concatenate(coordinates).reshape(*shape, len(modes)),
+            squares=np.concatenate(squares).reshape(shape),
         )
 
     def _pressure_of(self, densities: Array) -> Array:

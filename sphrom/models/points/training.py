@@ -300,19 +300,19 @@ class _Training:
         model = self._with(trained)
         space = stored.of_modes(self.modes)
         driven = trained.rates[ALL_MODES].operators.walls_driven
-        runs, predicted = {}, {}
-        for k, (point, reduced, run) in enumerate(
-            zip(self.points, models, coordinates, strict=True)
-        ):
-            viscosity = self.case.plan.kinematic_viscosity(point)
-            amplitude = reduced.amplitudes(self.times)
-            given = reduced.polynomial, run, viscosity, amplitude, point.factors
-            found = TrainingRun(*given)
-            if np.isfinite(run).all():
-                runs[k], predicted[k] = (
-                    replace(found, coordinates=_with(run, model.added(point, held_out)))
-                    for held_out in (False, True)
-                )
+        runs: dict[int, TrainingRun] = {}
+        predicted: dict[int, TrainingRun] = {}
+        for k in np.flatnonzero(np.isfinite(coordinates).all(axis=(1, 2))).tolist():
+            point = self.points[k]
+            runs[k] = TrainingRun(
+                models[k].polynomial,
+                _with(coordinates[k], model.added(point)),
+                self.case.plan.kinematic_viscosity(point),
+                models[k].amplitudes(self.times),
+                point.factors,
+            )
+            found = _with(coordinates[k], model.added(point, held_out=True))
+            predicted[k] = replace(runs[k], coordinates=found)
         if len(runs) < 2 or not all(space.squares[k].any() for k in runs):
             return trained
         chosen, errors = choose(space, runs, predicted, trained.places, driven)

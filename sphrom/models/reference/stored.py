@@ -63,9 +63,8 @@ def read_splines(workspace: Workspace, name: str, *, of_pressure: bool = False) 
     """Read the splines of one basis, or those of its pressure modes."""
     case = workspace.case
     domain = case.scene.domain
-    target, group = workspace.splines(), f"bases/{name}"
-    if of_pressure:
-        target, group = workspace.operators(), pressure_splines(case, name)
+    target = workspace.operators() if of_pressure else workspace.splines()
+    group = pressure_splines(case, name) if of_pressure else f"bases/{name}"
     with workspace.open(target) as artifact:
         # Kernels of splines take long to import, and few runs need them.
         if case.plan.lattice_splines:
@@ -99,9 +98,16 @@ def read_values(workspace: Workspace, name: str, n_modes: int, *, own_pressure: 
     return both(values, of_pressure)
 
 
-def both(first: Values, second: Values) -> Values:
-    """Return the values of modes, and then of others."""
-    return lambda points: np.hstack((first(points), second(points)))
+def both(modes: Values, pressures: Values) -> Values:
+    """Return the values of modes, and then of pressure modes, given their pressures alone."""
+
+    def values(points: Array) -> Array:
+        own = pressures(points)
+        at_rest = np.zeros((*own.shape, 2))
+        fields = np.concatenate((own[..., None], at_rest), axis=2)
+        return np.hstack((modes(points), fields.reshape(len(own), -1)))
+
+    return values
 
 
 def expand(
