@@ -53,10 +53,10 @@ class TrainingRun:
 
 
 class CorrectedRates(Record):
-    """A constant and a linear rate."""
+    """A constant and a linear function of the coordinates, such as rates."""
 
-    constant: Array = dataset("mode", "of the modes, /s", "constant rate", "c")
-    linear: Array = dataset("mode mode", "of the modes, /s", "linear rate", "A")
+    constant: Array = dataset("output", "of the outputs", "constant", "c")
+    linear: Array = dataset("output mode", "of the outputs", "linear part", "A")
 
     def tensors(self, energy: float | None) -> Tensors:
         """Return the rates; with `energy`, the constant is multiplied by energy |a|^2."""

@@ -28,8 +28,8 @@ from sphrom.reduction.reduced_operators import (
     pack,
     unpack,
 )
-from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
-from sphrom.sph.fixed_points import N_BLOCK_FIELDS, FixedPoints
+from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.sph.fixed_points import FixedPoints
 
 Advance = Callable[[int], None]
 """Called with the number of points that were completed."""
@@ -119,33 +119,31 @@ def residual_factor(
 
 
 def project_pressure(
-    points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None, pressures: TrialBasis
+    points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None, pressure_modes: Array
 ) -> PressureBalance:
     """Project the balance of momentum onto the gradients of pressure modes.
 
     Parameters
     ----------
     splines : those of the basis; without them, gradients are sums over the points.
-    pressures : the modes, of which only the pressure counts. Both products are acoustic.
+    pressure_modes : q (n_pressure_modes, n_points) [m/s] without mean; the basis is acoustic.
     """
+    own = np.ascontiguousarray(pressure_modes.T)
+    at_rest = np.zeros((2, *own.shape))
+    pushes = points.sound_speed * points.terms(own, at_rest).pressure_gradient
     modes = mode_fields(basis, points)
-    own = mode_fields(pressures, points).scaled_density
     weights = basis.weights[:, None]
-    pushes = np.concatenate(
-        [_pushed(points, own[:, some]) for some in blocks(own.shape[1], N_BLOCK_FIELDS)], axis=2
-    )
 
     def weigh(rows: slice) -> Array:
         tests = (pushes[:, rows] * weights[rows]).transpose(2, 0, 1)
         return np.concatenate((np.zeros_like(tests), tests), axis=1)
 
     def products(fields: Array) -> Array:
-        return sum((p * weights).T @ f for p, f in zip(pushes, fields, strict=True))
+        return np.einsum("dnk,dnm->km", pushes * weights, fields, optimize=True)
 
     states = PointFields.of_states(points, basis, splines)
     sums = _weighted_sums(states, parts_of(points), weigh)
     width = sums["inertia"].shape[1]
-    density = modes.scaled_density - weighted_mean(modes.scaled_density.T, basis.weights)
     return PressureBalance(
         parts={
             name.replace("/", "."): np.pad(x, ((0, 0), (0, width - x.shape[1])))
@@ -153,14 +151,9 @@ def project_pressure(
         },
         gradients=products(pushes),
         rates=products(modes.velocity),
-        joint=(density * weights).T @ own,
+        joint=(modes.scaled_density * weights).T @ own,
+        walls_driven=int(points.walls_driven),
     )
-
-
-def _pushed(points: FixedPoints, scaled_density: Array) -> Array:
-    """Return c0 G q (2, n_points, n_fields) [1/s2] of pressures (n_points, n_fields)."""
-    at_rest = np.zeros((2, *scaled_density.shape))
-    return points.sound_speed * points.terms(scaled_density, at_rest).pressure_gradient
 
 
 def _residual_columns(

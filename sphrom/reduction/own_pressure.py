@@ -29,12 +29,12 @@ from functools import cached_property
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.declaration import Record, Tensors, dataset, part
+from sphrom.declaration import Record, Tensors, attribute, dataset, part
 from sphrom.reduction.affine import VISCOSITY, Affine, factor_of
 from sphrom.reduction.calibration import Calibration, TrainingRun, fit
 from sphrom.reduction.correction import Correction, interpolated
 from sphrom.reduction.held_out import ALIKE, DIVERGED, surrounded
-from sphrom.reduction.reduced_operators import Polynomial, monomials_of, pack, unpack
+from sphrom.reduction.reduced_operators import Polynomial, monomials_of, unpack
 from sphrom.sph.fluid import NONE, Factors
 
 JOINT, BALANCE, NOTHING = "joint", "balance", "nothing"
@@ -71,6 +71,7 @@ class PressureBalance(Record):
         "pressure_mode mode", "m2/s2", "products of the gradients with the velocities of modes"
     )
     joint: Array = dataset("mode pressure_mode", "1", "products of the modes' pressures with them")
+    walls_driven: int = attribute("", "1 if walls move with the amplitude, else 0")
 
 
 class PressureSpace(PressureBalance):
@@ -133,6 +134,8 @@ class OwnPressure(Record):
         default_factory=dict,
     )
     rates: Array = dataset("own_mode mode", "s", "factors of the rates, to be subtracted")
+    walls_driven: int = attribute("", "1 if walls move with the amplitude, else 0")
+    ridge: Calibration | None = part(default=None)
     correction: Correction | None = part(default=None)
 
     @cached_property
@@ -144,7 +147,6 @@ class OwnPressure(Record):
         self,
         rates: Polynomial,
         kinematic_viscosity: float,
-        walls_driven: bool = False,
         factors: Factors = NONE,
     ) -> Polynomial:
         """Return the coordinates of own modes, without the correction, at a parameter point.
@@ -153,21 +155,20 @@ class OwnPressure(Record):
         ----------
         rates : the model's rates there.
         kinematic_viscosity : [m2/s].
-        walls_driven : whether walls move with the amplitude.
         factors : the values of the driving parameters.
         """
-        parts = [
-            (factor_of(name.replace(".", "/"), walls_driven), tensors)
-            for name, tensors in self._tensors.items()
-        ]
-        balance = Polynomial(Affine(parts).at({VISCOSITY: kinematic_viscosity, **factors}))
+        driven = bool(self.walls_driven)
+        parts = [(factor_of(n.replace(".", "/"), driven), t) for n, t in self._tensors.items()]
+        found = Polynomial(Affine(parts).at({VISCOSITY: kinematic_viscosity, **factors}))
+        if self.ridge is not None:
+            found = found.plus(self.ridge.at(kinematic_viscosity, factors))
         change = (tuple(np.tensordot(self.rates, t, 1) for t in power) for power in rates.powers)
-        return balance.plus(Polynomial(tuple(change)), -1.0)
+        return found.plus(Polynomial(tuple(change)), -1.0)
 
-    def along(self, run: TrainingRun, walls_driven: bool) -> Array:
+    def along(self, run: TrainingRun) -> Array:
         """Return the coordinates (n_snapshots, n_own_modes) in a run, without the correction."""
         amplitude = np.zeros(len(run.coordinates)) if run.amplitude is None else run.amplitude
-        found = self.at(run.rates, run.kinematic_viscosity, walls_driven, run.factors)
+        found = self.at(run.rates, run.kinematic_viscosity, run.factors)
         return found.along(run.coordinates, amplitude)
 
 
@@ -177,7 +178,6 @@ def fitted(
     candidate: str,
     runs: Mapping[int, TrainingRun],
     places: Array,
-    walls_driven: bool,
 ) -> OwnPressure:
     """Return a candidate, fitted to training runs.
 
@@ -198,34 +198,19 @@ def fitted(
     elif base == NOTHING:
         width = space.parts["inertia"].shape[1]
         parts = {"inertia": np.pad(-joint.T, ((0, 0), (1, width - 1 - len(joint))))}
-    pressure = OwnPressure(modes=own, parts=parts, rates=rates)
+    driven = space.walls_driven
+    pressure = OwnPressure(modes=own, parts=parts, rates=rates, walls_driven=driven)
     if added is None:
         return pressure
     missed = []
     for k, run in runs.items():
-        known = run.coordinates @ joint + pressure.along(run, walls_driven)
+        known = run.coordinates @ joint + pressure.along(run)
         missed.append(space.coordinates[k] @ own.T - known)
     if added == INTERPOLATED:
         correction = interpolated(places[list(runs)], np.stack(missed))
         return replace(pressure, correction=correction)
     samples = [(run.coordinates, m) for run, m in zip(runs.values(), missed, strict=True)]
-    return replace(pressure, parts=_with_ridge(parts, fit(list(runs.values()), samples)))
-
-
-def _with_ridge(parts: Mapping[str, Array], ridge: Calibration) -> dict[str, Array]:
-    """Return parts with those of a regression, which is affine in the parameters."""
-    none = dict.fromkeys(ridge.others, 0.0)
-
-    def columns(viscosity: float = 0.0, **factors: float) -> Array:
-        (tensors,) = ridge.at(viscosity, {**none, **factors}).powers
-        found = pack(tensors)
-        width = next(iter(parts.values())).shape[1]
-        return np.pad(found, ((0, 0), (0, width - found.shape[1])))
-
-    constant = columns()
-    more = {"inertia": constant, "viscosity": columns(1.0) - constant}
-    more |= {f"inertia.{name}": columns(**{name: 1.0}) - constant for name in none}
-    return {**parts, **{name: parts.get(name, 0.0) + x for name, x in more.items()}}
+    return replace(pressure, ridge=fit(list(runs.values()), samples))
 
 
 def choose(
@@ -233,7 +218,6 @@ def choose(
     runs: Mapping[int, TrainingRun],
     predicted: Mapping[int, TrainingRun],
     places: Array,
-    walls_driven: bool,
 ) -> tuple[str, Array]:
     """Return the best candidate, and the relative errors (n_candidates, n_runs) of all.
 
@@ -252,8 +236,8 @@ def choose(
         own = np.linalg.svd(known, full_matrices=False)[2][: len(space.modes)]
         outside = space.squares[k].sum() - np.sum(space.coordinates[k] ** 2)
         for row, candidate in enumerate(CANDIDATES):
-            pressure = fitted(space, own, candidate, others, places, walls_driven)
-            found = pressure.along(run, walls_driven)
+            pressure = fitted(space, own, candidate, others, places)
+            found = pressure.along(run)
             if pressure.correction is not None:
                 found += pressure.correction.at(places[k])
             missed = space.coordinates[k] - run.coordinates @ space.joint - found @ own

@@ -26,7 +26,7 @@ from sphrom.reduction import polynomial_model
 from sphrom.reduction.correction import faded
 from sphrom.reduction.exponential_steps import ExponentialModel, LinearPart
 from sphrom.reduction.own_pressure import PointPressure
-from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure
+from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure, TimedLoads
 from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.trial_basis import JOINT, TrialBasis
 
@@ -72,9 +72,7 @@ class ReferenceModel:
     @cached_property
     def strongest(self) -> float:
         """The largest absolute amplitude of a run."""
-        if self.amplitude is None:
-            return 0.0
-        return float(np.abs(self.amplitude(self.output_times.time)).max())
+        return float(np.abs(self.amplitudes(self.output_times.time)).max())
 
     @cached_property
     def step_limit(self) -> float:
@@ -131,9 +129,7 @@ class ReferenceModel:
             times = self.output_times
             share = np.ones((len(correction), 1))
             known = faded(np.hstack((correction, share)), times.n_snapshots)
-            snapshots = (time - times.start_time) / times.interval
-            numbers = np.arange(len(known))
-            added = np.stack([np.interp(snapshots, numbers, one) for one in known.T], axis=1)
+            added = TimedLoads(times.time, known).at(time)
             # Without what training runs add, the rest may be worse than no own modes.
             own = added[:, -1:] * own + added[:, :-1]
         return np.concatenate((coordinates, own), axis=1)

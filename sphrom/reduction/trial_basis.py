@@ -163,16 +163,14 @@ def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
     return replace(basis, density_modes=density, velocity_modes=velocity)
 
 
-def of_pressures(basis: TrialBasis, modes: Array) -> TrialBasis:
-    """Return modes (n_modes, n_points) of the first field alone, in the product of a basis."""
-    return replace(basis, density_modes=modes, velocity_modes=np.zeros((*modes.shape, 2)))
-
-
-def joined(basis: TrialBasis, more: TrialBasis) -> TrialBasis:
-    """Return the modes of two bases with the same product."""
-    density = np.concatenate((basis.density_modes, more.density_modes))
-    velocity = np.concatenate((basis.velocity_modes, more.velocity_modes))
-    return replace(basis, density_modes=density, velocity_modes=velocity)
+def with_pressures(basis: TrialBasis, modes: Array) -> TrialBasis:
+    """Return a basis with more modes, which have the first field (n_modes, n_points) alone."""
+    velocity = np.zeros((*modes.shape, 2))
+    return replace(
+        basis,
+        density_modes=np.concatenate((basis.density_modes, modes)),
+        velocity_modes=np.concatenate((basis.velocity_modes, velocity)),
+    )
 
 
 N_FIRST = 64

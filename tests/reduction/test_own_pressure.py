@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.reduction.calibration import TrainingRun, fit
+from sphrom.reduction.calibration import TrainingRun
 from sphrom.reduction.operator_projection import project_operators, project_pressure
 from sphrom.reduction.own_pressure import (
     CANDIDATES,
@@ -17,7 +17,6 @@ from sphrom.reduction.own_pressure import (
     fitted,
     pressure_modes,
 )
-from sphrom.reduction.trial_basis import of_pressures
 
 NU = 0.01
 AROUND = {"viscosity": NU, "amplitude": -1.4}
@@ -31,8 +30,7 @@ def space_of(setting, smooth: Callable[[np.ndarray, int], np.ndarray]) -> Pressu
     fields = np.array([smooth(setting.position, seed) for seed in range(70, 70 + N_OWN)])
     fields -= fields.mean(axis=1, keepdims=True)
     modes = pressure_modes([fields[:4], fields[4:]], setting.weights, N_OWN)
-    pressures = of_pressures(setting.basis, modes)
-    balance = project_pressure(setting.points, setting.basis, setting.splines, pressures)
+    balance = project_pressure(setting.points, setting.basis, setting.splines, modes)
     none = np.zeros((len(PLACES), N_SNAPSHOTS, N_OWN))
     return PressureSpace(**vars(balance), modes=modes, coordinates=none, squares=none[..., 0])
 
@@ -70,10 +68,10 @@ def test_the_balance_leaves_nothing_along_the_gradients(
     setting = settings[name]
     points, basis = setting.points, setting.basis
     space = space_of(setting, smooth)
-    own = fitted(space, np.eye(N_OWN), "balance", {}, PLACES, points.walls_driven)
+    own = fitted(space, np.eye(N_OWN), "balance", {}, PLACES)
     rates = project_operators(points, basis, setting.splines).at(NU)
     state, amplitude = setting.coordinates, AROUND["amplitude"]
-    found = own.at(rates, NU, points.walls_driven)(state, amplitude)
+    found = own.at(rates, NU)(state, amplitude)
     model = unprojected(points, basis, setting.splines, order=1)
     left = model.full_rates(state, AROUND)[1:]
     left -= np.einsum("m,mnd->dn", rates(state, amplitude), basis.velocity_modes)
@@ -102,13 +100,13 @@ def runs_of(setting) -> dict[int, TrainingRun]:
 def filled(space: PressureSpace, setting, truth: str) -> tuple[PressureSpace, dict]:
     """Return the space with pressures of made-up runs that a candidate can give."""
     runs = runs_of(setting)
-    balance = fitted(space, np.eye(N_OWN), "balance", {}, PLACES, False)
+    balance = fitted(space, np.eye(N_OWN), "balance", {}, PLACES)
     random = np.random.default_rng(5)
     over_time = np.sin(np.outer(np.linspace(0.0, 9.0, N_SNAPSHOTS), 1.0 + np.arange(N_OWN)))
     of_states = random.standard_normal((len(setting.coordinates), N_OWN))
     known = {
         "joint": lambda run: run.coordinates @ space.joint,
-        "balance": lambda run: run.coordinates @ space.joint + balance.along(run, False),
+        "balance": lambda run: run.coordinates @ space.joint + balance.along(run),
         "nothing": lambda run: np.zeros((N_SNAPSHOTS, N_OWN)),
     }
     base, added = CANDIDATES[truth]
@@ -131,31 +129,10 @@ def filled(space: PressureSpace, setting, truth: str) -> tuple[PressureSpace, di
 def test_held_out_runs_choose_what_gives_their_pressure(settings, smooth, truth: str) -> None:
     setting = settings["lid"]
     space, runs = filled(space_of(setting, smooth), setting, truth)
-    chosen, errors = choose(space, runs, runs, PLACES, False)
+    chosen, errors = choose(space, runs, runs, PLACES)
     expected = dict(zip(CANDIDATES, expected_errors(errors, PLACES), strict=True))
     assert chosen == truth, expected
     assert expected[truth] < 0.1
-
-
-def test_a_regression_is_that_of_its_parts(settings, smooth) -> None:
-    """It is affine in the viscosity and in the other parameters."""
-    setting = settings["lid"]
-    space, runs = filled(space_of(setting, smooth), setting, "joint")
-    runs = {
-        k: TrainingRun(run.rates, run.coordinates, run.kinematic_viscosity, None, {"lid": k % 3})
-        for k, run in runs.items()
-    }
-    eye = np.eye(N_OWN)
-    ridge, bare = (
-        fitted(space, eye, name, runs, PLACES, False) for name in ("balance-ridge", "balance")
-    )
-    missed = [-bare.along(run, False) for run in runs.values()]
-    samples = [(run.coordinates, m) for run, m in zip(runs.values(), missed, strict=True)]
-    expected = fit(list(runs.values()), samples).at(3.3 * NU, {"lid": 0.7})
-    given = runs[0].rates, 3.3 * NU, False, {"lid": 0.7}
-    state = setting.coordinates
-    added = ridge.at(*given)(state) - bare.at(*given)(state)
-    np.testing.assert_allclose(added, expected(state), rtol=1e-8, atol=1e-10)
 
 
 def test_some_modes_have_the_balance_of_all_with_the_others_zero(settings, smooth) -> None:
@@ -167,7 +144,7 @@ def test_some_modes_have_the_balance_of_all_with_the_others_zero(settings, smoot
     state[kept] = setting.coordinates[kept]
     found = []
     for modes in (np.arange(len(state)), kept):
-        own = fitted(space.of_modes(modes), np.eye(N_OWN), "balance", {}, PLACES, False)
+        own = fitted(space.of_modes(modes), np.eye(N_OWN), "balance", {}, PLACES)
         at_rest = operators.of_modes(modes).at(NU).scaled(0.0)
         found.append(own.at(at_rest, NU)(state[modes], AROUND["amplitude"]))
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
@@ -177,7 +154,7 @@ def test_a_run_that_diverged_does_not_count(settings, smooth) -> None:
     setting = settings["lid"]
     space, runs = filled(space_of(setting, smooth), setting, "balance")
     complete = {k: run for k, run in runs.items() if k != 2}
-    chosen, errors = choose(space, complete, complete, PLACES, False)
+    chosen, errors = choose(space, complete, complete, PLACES)
     assert chosen == "balance"
     assert (errors[:, 2] > 1e3).all()
     assert expected_errors(errors, PLACES).max() < 1e3

@@ -35,11 +35,10 @@ from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.reduction.trained_basis import ALL_MODES, LEADING, TrainedBasis, TrainedErrors
 from sphrom.reduction.trial_basis import (
     TrialBasis,
-    joined,
     mean_density_fluctuation,
-    of_pressures,
     project,
     truncate,
+    with_pressures,
 )
 from sphrom.setup.assembly import (
     amplitude_of,
@@ -127,7 +126,7 @@ class BasisModel:
         """The model's modes, and then its own pressure modes."""
         if (own := self.trained.own_pressure) is None:
             return self.basis
-        return joined(self.basis, of_pressures(self.basis, own.modes))
+        return with_pressures(self.basis, own.modes)
 
     def sampled(self, points: Array, time: Array, states: Array, mean: float) -> Samples:
         """Return velocity and pressure at points (n_points, 2) for states of `whole`.
@@ -241,9 +240,8 @@ class BasisModel:
         pressure = None
         if (own := self.trained.own_pressure) is not None:
             viscosity = self.workspace.case.plan.kinematic_viscosity(point)
-            driven = self.trained.rates[ALL_MODES].operators.walls_driven
             pressure = PointPressure(
-                own.at(model.polynomial, viscosity, driven, point.factors),
+                own.at(model.polynomial, viscosity, point.factors),
                 correction=_learnt(own.correction, place, held_out),
             )
         correction = self.added(point, held_out)
@@ -335,7 +333,7 @@ class BasisModel:
             errors.factor,
             self.workspace.case.plan.kinematic_viscosity(point),
             coordinates,
-            amplitude=None if reduced.amplitude is None else reduced.amplitude(times),
+            amplitude=reduced.amplitudes(times),
             factors=point.factors,
             closure=reduced.closure,
         )

@@ -67,7 +67,7 @@ from sphrom.reduction.reduced_operators import (
 )
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.stokes_fields import stokes_fields
-from sphrom.reduction.trial_basis import joined, of_pressures, truncate
+from sphrom.reduction.trial_basis import truncate, with_pressures
 from sphrom.setup import particles
 from sphrom.setup.assembly import amplitude_of, output_times_of, scaled_parameters, sound_averages
 from sphrom.setup.particles import MeasuredFields
@@ -116,7 +116,7 @@ class _Projection:
         self.pressure_splines = None
         self.pressures = self._pressures()
         if self.pressures is not None:
-            self.whole = joined(self.basis, of_pressures(self.basis, self.pressures.modes))
+            self.whole = with_pressures(self.basis, self.pressures.modes)
             columns = np.ascontiguousarray(self.pressures.modes.T)
             label = f"pressure {name}"
             self.pressure_splines = fit(self.case, points.position, columns, label, self.report)
@@ -167,8 +167,7 @@ class _Projection:
         modes = pressure_modes(some, weights, WIDER * self.basis.n_modes)
         if not len(modes):
             return None
-        of_modes = of_pressures(self.basis, modes)
-        balance = project_pressure(self.points, self.basis, self.splines, of_modes)
+        balance = project_pressure(self.points, self.basis, self.splines, modes)
         coordinates, squares = [], []
         for _, densities, _ in mapped_runs(self.workspace, self.name):
             for first in range(0, len(densities), N_AT_ONCE):

@@ -31,7 +31,7 @@ from sphrom.models.points.error_estimates import (
     steady_errors,
 )
 from sphrom.models.points.fast_model import FastModel, FastRun
-from sphrom.models.points.stored import read_pressure_modes
+from sphrom.models.points.stored import with_pressure_modes
 from sphrom.models.reference.stored import expand, read_basis, read_points, read_values
 from sphrom.models.stable_ranges import against
 from sphrom.models.stored_run import ComputedRun
@@ -39,7 +39,7 @@ from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
 from sphrom.reduction.reduced_operators import largest_growth
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
-from sphrom.reduction.trial_basis import TrialBasis, joined, reconstruct, truncate
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.fluid import pressure_of
@@ -58,9 +58,7 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
     report = run.model.workspace.context.report
     model = run.model.at_point(run.point)
     polynomial = run.reduced.polynomial
-    amplitude = 0.0
-    if run.reduced.amplitude is not None:
-        amplitude = float(run.reduced.amplitude(run.time)[-1])
+    amplitude = float(run.reduced.amplitudes(run.time)[-1])
     seek = partial(steady_state, polynomial, run.coordinates[-1], amplitude=amplitude)
     found = seek()
     seconds = min(seconds_of(seek) for _ in range(N_TIMED))
@@ -247,7 +245,7 @@ class CoordinateRun(ComputedRun):
         basis = truncate(read_basis(self._workspace, name), n_modes)
         if not self._owns_pressure:
             return basis
-        return joined(basis, read_pressure_modes(self._workspace, name, basis))
+        return with_pressure_modes(self._workspace, name, basis)
 
     @property
     def _owns_pressure(self) -> bool:

@@ -205,16 +205,14 @@ def _with_pressure(
     states = reduced.with_pressure(times, run)
     if reduced.pressure is None:
         return states, changes
+
+    def at(model: ReferenceModel, run: Array) -> Array:
+        return replace(model, output_times=reduced.output_times).with_pressure(times, run)
+
     slopes = []
     for side, change in zip(sides, changes, strict=True):
-        low, high = (
-            replace(model, output_times=reduced.output_times).with_pressure(times, run + part)
-            for model, part in (
-                (side.below, -0.5 * side.width * change),
-                (side.above, 0.5 * side.width * change),
-            )
-        )
-        slopes.append((high - low) / side.width)
+        half = 0.5 * side.width * change
+        slopes.append((at(side.above, run + half) - at(side.below, run - half)) / side.width)
     return states, np.stack(slopes)
 
 

@@ -42,7 +42,6 @@ from sphrom.reduction.mode_splines import Values
 from sphrom.reduction.own_pressure import (
     CANDIDATES,
     JOINT,
-    OwnPressure,
     PressureSpace,
     choose,
     expected_errors,
@@ -140,6 +139,10 @@ class _Training:
         whole = read_basis(workspace, name)
         self.n_all_modes = whole.n_modes
         self.basis = truncate(whole, section.size)
+        stored = self.stored.pressure
+        self.n_columns = self.n_all_modes + (0 if stored is None else len(stored.modes))
+        # Pressure modes follow all modes.
+        self.with_own = np.append(self.modes, np.arange(self.n_all_modes, self.n_columns))
         self.is_corrected = self.case.plan.is_corrected(section, name)
         self.projected: Array | None = None
         if section.is_calibrated or self.is_corrected:
@@ -299,7 +302,6 @@ class _Training:
         """Return the model with the pressure that is the best one in held-out training runs."""
         model = self._with(trained)
         space = stored.of_modes(self.modes)
-        driven = trained.rates[ALL_MODES].operators.walls_driven
         runs: dict[int, TrainingRun] = {}
         predicted: dict[int, TrainingRun] = {}
         for k in np.flatnonzero(np.isfinite(coordinates).all(axis=(1, 2))).tolist():
@@ -315,22 +317,17 @@ class _Training:
             predicted[k] = replace(runs[k], coordinates=found)
         if len(runs) < 2 or not all(space.squares[k].any() for k in runs):
             return trained
-        chosen, errors = choose(space, runs, predicted, trained.places, driven)
+        chosen, errors = choose(space, runs, predicted, trained.places)
         trained = replace(trained, pressure_errors=errors)
         base = np.eye(len(space.modes), len(space.gradients))
-        own = fitted(space, base, chosen, runs, trained.places, driven)
+        own = fitted(space, base, chosen, runs, trained.places)
         if chosen == JOINT:
             return trained
         return replace(
             trained,
             pressure={chosen: replace(own, modes=space.modes)},
-            measures=self._measures(self._used(space)),
+            measures=self._measures(self.with_own),
         )
-
-    def _used(self, own: PressureSpace | OwnPressure | None) -> Indices:
-        """Return the numbers of the modes and of own pressure modes, which follow all modes."""
-        n_own = 0 if own is None else len(own.modes)
-        return np.append(self.modes, self.n_all_modes + np.arange(n_own))
 
     def _corrected_forces(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
@@ -367,10 +364,8 @@ class _Training:
         estimate = self.stored.estimate
         assert factor is not None
         assert estimate is not None
-        space = self.stored.pressure
-        n_columns = self.n_all_modes + (0 if space is None else len(space.modes))
-        used = self._used(trained.own_pressure)
-        products = FieldProducts.of(estimate).only(used, n_columns)
+        used = self.with_own if trained.pressure else self.modes
+        products = FieldProducts.of(estimate).only(used, self.n_columns)
         scale = self.case.fluid.reference_density * self.case.plan.sound_speed
         compared = compared_snapshots(self.case.plan.steps.n_snapshots)
         errors = TrainedErrors(
