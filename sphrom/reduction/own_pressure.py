@@ -24,12 +24,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.declaration import Record, Tensors, attribute, dataset, part
+from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.reduction.affine import VISCOSITY, Affine, factor_of
 from sphrom.reduction.calibration import Calibration, TrainingRun, fit
 from sphrom.reduction.correction import Correction, interpolated
@@ -138,11 +137,6 @@ class OwnPressure(Record):
     ridge: Calibration | None = part(default=None)
     correction: Correction | None = part(default=None)
 
-    @cached_property
-    def _tensors(self) -> dict[str, Tensors]:
-        n_modes = self.rates.shape[1]
-        return {name: unpack(columns, n_modes) for name, columns in self.parts.items()}
-
     def at(
         self,
         rates: Polynomial,
@@ -157,8 +151,11 @@ class OwnPressure(Record):
         kinematic_viscosity : [m2/s].
         factors : the values of the driving parameters.
         """
-        driven = bool(self.walls_driven)
-        parts = [(factor_of(n.replace(".", "/"), driven), t) for n, t in self._tensors.items()]
+        n_modes = self.rates.shape[1]
+        parts = [
+            (factor_of(name.replace(".", "/"), bool(self.walls_driven)), unpack(columns, n_modes))
+            for name, columns in self.parts.items()
+        ]
         found = Polynomial(Affine(parts).at({VISCOSITY: kinematic_viscosity, **factors}))
         if self.ridge is not None:
             found = found.plus(self.ridge.at(kinematic_viscosity, factors))

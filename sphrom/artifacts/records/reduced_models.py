@@ -139,13 +139,19 @@ class Starts(Record):
     velocity: Array = dataset("start particle component", "m/s", "velocity", "u", "Eq. 3.15")
 
 
+class PressureSplines(Record):
+    """Splines of pressure modes, of one of two kinds."""
+
+    cells: CellSplines | None = part(at="", default=None)
+    lattice: LatticeCoefficients | None = part(at="", default=None)
+
+
 class Operators(Record, kind="sphrom/operators"):
     """Right-hand side on the reference points, projected onto each basis."""
 
     bases: Mapping[str, BasisOperators] = part()
     starts: Starts | None = part(default=None)
-    pressure_splines: Mapping[str, CellSplines] = part(default_factory=dict)
-    pressure_b_splines: Mapping[str, LatticeCoefficients] = part(default_factory=dict)
+    pressure_splines: Mapping[str, PressureSplines] = part(default_factory=dict)
     walls_driven: int = attribute("", "1 if the amplitude is that of the walls' speed, else 0")
 
 

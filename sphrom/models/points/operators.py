@@ -38,7 +38,6 @@ from sphrom.models.reference.splines import fit
 from sphrom.models.reference.stored import (
     both,
     mapped_runs,
-    pressure_splines,
     read_basis,
     read_points,
     read_splines,
@@ -93,8 +92,7 @@ def project(workspace: Workspace) -> None:
             projection = _Projection(workspace, points, name)
             write_record(artifact, projection.stored(artifact), f"bases/{name}")
             if projection.pressure_splines is not None:
-                group = pressure_splines(workspace.case, name)
-                write_record(artifact, projection.pressure_splines, group)
+                write_record(artifact, projection.pressure_splines, f"pressure_splines/{name}")
         write_record(artifact, starts_record(workspace), "starts")
         artifact.annotate("timing/projection", time.perf_counter() - started)
 

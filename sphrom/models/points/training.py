@@ -319,15 +319,12 @@ class _Training:
             return trained
         chosen, errors = choose(space, runs, predicted, trained.places)
         trained = replace(trained, pressure_errors=errors)
-        base = np.eye(len(space.modes), len(space.gradients))
-        own = fitted(space, base, chosen, runs, trained.places)
         if chosen == JOINT:
             return trained
-        return replace(
-            trained,
-            pressure={chosen: replace(own, modes=space.modes)},
-            measures=self._measures(self.with_own),
-        )
+        base = np.eye(len(space.modes), len(space.gradients))
+        own = fitted(space, base, chosen, runs, trained.places)
+        pressure = {chosen: replace(own, modes=space.modes)}
+        return replace(trained, pressure=pressure, measures=self._measures(self.with_own))
 
     def _corrected_forces(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array

@@ -54,17 +54,12 @@ def mapped_runs(
             yield point, mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
 
 
-def pressure_splines(case: Case, name: str) -> str:
-    """Return the group of a basis's splines of pressure modes in the artifact of operators."""
-    return f"pressure_{'b_' if case.plan.lattice_splines else ''}splines/{name}"
-
-
 def read_splines(workspace: Workspace, name: str, *, of_pressure: bool = False) -> ModeSplines:
     """Read the splines of one basis, or those of its pressure modes."""
     case = workspace.case
     domain = case.scene.domain
     target = workspace.operators() if of_pressure else workspace.splines()
-    group = pressure_splines(case, name) if of_pressure else f"bases/{name}"
+    group = f"{'pressure_splines' if of_pressure else 'bases'}/{name}"
     with workspace.open(target) as artifact:
         # Kernels of splines take long to import, and few runs need them.
         if case.plan.lattice_splines:
