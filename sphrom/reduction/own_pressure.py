@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,20 +37,17 @@ from sphrom.reduction.held_out import ALIKE, DIVERGED, surrounded
 from sphrom.reduction.reduced_operators import Polynomial, monomials_of, unpack
 from sphrom.sph.fluid import NONE, Factors
 
-JOINT, BALANCE, NOTHING = "joint", "balance", "nothing"
-"""The pressure before training runs add to it: that of the model's modes, the same with own modes
-from the balance of momentum, and none."""
-INTERPOLATED, RIDGE = "interpolated", "ridge"
-"""What training runs add."""
-CANDIDATES: Mapping[str, tuple[str, str | None]] = {
-    "joint": (JOINT, None),
-    "joint-interpolated": (JOINT, INTERPOLATED),
-    "balance": (BALANCE, None),
-    "balance-interpolated": (BALANCE, INTERPOLATED),
-    "balance-ridge": (BALANCE, RIDGE),
-    "interpolated": (NOTHING, INTERPOLATED),
-}
-"""The candidates by name, from simple to complex."""
+JOINT, BALANCE, INTERPOLATED = "joint", "balance", "interpolated"
+CANDIDATES = (
+    JOINT,
+    f"{JOINT}-{INTERPOLATED}",
+    BALANCE,
+    f"{BALANCE}-{INTERPOLATED}",
+    f"{BALANCE}-ridge",
+    INTERPOLATED,
+)
+"""The candidates, from simple to complex: the pressure of the model's modes, the same with own
+modes from the balance of momentum, each with what training runs add, and own modes alone."""
 WIDER = 3
 """Size of the space in which pressures are compared, over the number of own modes."""
 
@@ -110,7 +108,7 @@ def pressure_modes(pressures: Iterable[Array], weights: Array, n_modes: int) -> 
         _, values, modes = np.linalg.svd(rows, full_matrices=False)
         used = values[:n_modes] > len(rows) * np.finfo(float).eps * values[0]
         kept = (values[:, None] * modes)[:n_modes][used]
-    return np.asarray(kept / np.linalg.norm(kept, axis=1, keepdims=True) / root)
+    return np.asarray(kept / np.linalg.norm(kept, axis=1)[:, None] / root)
 
 
 @dataclass(frozen=True)
@@ -137,6 +135,17 @@ class OwnPressure(Record):
     ridge: Calibration | None = part(default=None)
     correction: Correction | None = part(default=None)
 
+    @cached_property
+    def _affine(self) -> Affine:
+        driven = bool(self.walls_driven)
+        n_modes = self.rates.shape[1]
+        return Affine(
+            [
+                (factor_of(name.replace(".", "/"), driven), unpack(columns, n_modes))
+                for name, columns in self.parts.items()
+            ]
+        )
+
     def at(
         self,
         rates: Polynomial,
@@ -151,12 +160,7 @@ class OwnPressure(Record):
         kinematic_viscosity : [m2/s].
         factors : the values of the driving parameters.
         """
-        n_modes = self.rates.shape[1]
-        parts = [
-            (factor_of(name.replace(".", "/"), bool(self.walls_driven)), unpack(columns, n_modes))
-            for name, columns in self.parts.items()
-        ]
-        found = Polynomial(Affine(parts).at({VISCOSITY: kinematic_viscosity, **factors}))
+        found = Polynomial(self._affine.at({VISCOSITY: kinematic_viscosity, **factors}))
         if self.ridge is not None:
             found = found.plus(self.ridge.at(kinematic_viscosity, factors))
         change = (tuple(np.tensordot(self.rates, t, 1) for t in power) for power in rates.powers)
@@ -184,26 +188,24 @@ def fitted(
     runs : the model's runs by number, which have the coordinates of full runs.
     places : (n_all_runs, n_parameters), scaled so that distances are comparable.
     """
-    base, added = CANDIDATES[candidate]
     joint = space.joint @ own.T
     parts: dict[str, Array] = {}
     rates = np.zeros((len(own), len(joint)))
-    if base == BALANCE:
+    if candidate.startswith(BALANCE):
         solved = np.linalg.solve(own @ space.gradients @ own.T, own)
         parts = {name: solved @ columns for name, columns in space.parts.items()}
         rates = solved @ space.rates
-    elif base == NOTHING:
+    elif candidate == INTERPOLATED:
         width = space.parts["inertia"].shape[1]
         parts = {"inertia": np.pad(-joint.T, ((0, 0), (1, width - 1 - len(joint))))}
-    driven = space.walls_driven
-    pressure = OwnPressure(modes=own, parts=parts, rates=rates, walls_driven=driven)
-    if added is None:
+    pressure = OwnPressure(modes=own, parts=parts, rates=rates, walls_driven=space.walls_driven)
+    if candidate in (JOINT, BALANCE):
         return pressure
     missed = []
     for k, run in runs.items():
         known = run.coordinates @ joint + pressure.along(run)
         missed.append(space.coordinates[k] @ own.T - known)
-    if added == INTERPOLATED:
+    if candidate.endswith(INTERPOLATED):
         correction = interpolated(places[list(runs)], np.stack(missed))
         return replace(pressure, correction=correction)
     samples = [(run.coordinates, m) for run, m in zip(runs.values(), missed, strict=True)]
@@ -242,7 +244,7 @@ def choose(
             errors[row, k] = np.sqrt(square / space.squares[k].sum())
     expected = expected_errors(errors, places)
     best = int(np.flatnonzero(expected <= ALIKE * expected.min())[0])
-    return list(CANDIDATES)[best], errors
+    return CANDIDATES[best], errors
 
 
 def expected_errors(errors: Array, places: Array) -> Array:

@@ -264,9 +264,9 @@ class ReducedMeasure(Record):
         n_states = len(coordinates)
         mean = np.broadcast_to(mean_density_fluctuation, n_states)
         terms = np.column_stack((np.ones(n_states), mean, coordinates))
-        used = terms.shape[1]
         return {
-            name: np.tensordot(terms, q[..., :used], (1, -1)) for name, q in self.quantities.items()
+            name: np.tensordot(terms, q[..., : terms.shape[1]], (1, -1))
+            for name, q in self.quantities.items()
         }
 
 

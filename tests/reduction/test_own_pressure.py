@@ -107,16 +107,16 @@ def filled(space: PressureSpace, setting, truth: str) -> tuple[PressureSpace, di
     known = {
         "joint": lambda run: run.coordinates @ space.joint,
         "balance": lambda run: run.coordinates @ space.joint + balance.along(run),
-        "nothing": lambda run: np.zeros((N_SNAPSHOTS, N_OWN)),
+        "interpolated": lambda run: np.zeros((N_SNAPSHOTS, N_OWN)),
     }
-    base, added = CANDIDATES[truth]
+    base = truth.split("-")[0]
     size = np.sqrt(np.mean(known["balance"](runs[2]) ** 2))
     coordinates = []
     for k, run in runs.items():
         more = 0.0
-        if added == "interpolated":
+        if truth.endswith("interpolated"):
             more = size * (2.0 + PLACES[k]) * over_time
-        elif added == "ridge":
+        elif truth.endswith("ridge"):
             factor = 1.0 + 0.3 * run.kinematic_viscosity / NU
             more = size * factor * (run.coordinates @ of_states)
         coordinates.append(known[base](run) + more)

@@ -20,7 +20,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities, Samples, with_coefficients
 from sphrom.models.points.stored import Fields, snapshot_times
-from sphrom.models.reference.stored import expand
+from sphrom.models.reference.stored import expand, read_values
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import (
     LocalErrorCalibration,
@@ -78,7 +78,7 @@ class BasisModel:
         trained: TrainedBasis,
         basis: TrialBasis,
         start: Start,
-        values: Callable[[], Values],
+        values: Callable[[], Values] | None = None,
     ) -> None:
         self.workspace = workspace
         self.section = section
@@ -119,7 +119,10 @@ class BasisModel:
     @cached_property
     def values(self) -> Values:
         """The values of the modes of `whole`, by splines."""
-        return self._read_values()
+        if self._read_values is not None:
+            return self._read_values()
+        own = self.trained.own_pressure is not None
+        return read_values(self.workspace, self.name, self.basis.n_modes, own_pressure=own)
 
     @cached_property
     def whole(self) -> TrialBasis:

@@ -31,7 +31,7 @@ from sphrom.models.points.error_estimates import (
     measured_sizes,
 )
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
-from sphrom.models.reference.stored import both, read_values
+from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
@@ -93,22 +93,19 @@ class FastModel(Model[ReferenceModel]):
         section = self.section.model_copy(update={"n_modes": basis.n_modes})
 
         def values() -> Values:
-            own = trained.own_pressure
-            if not self._is_alone:
-                has_own = own is not None
-                return read_values(self.workspace, name, basis.n_modes, own_pressure=has_own)
             from sphrom.models.reference.splines import fit  # few programs need it
             from sphrom.reduction.mode_splines import basis_columns
 
             points = stored.reference_position
             report = self.workspace.context.report
             found = fit(case, points, basis_columns(basis), f"basis {name}", report).values
-            if own is None:
+            if (own := trained.own_pressure) is None:
                 return found
             return both(found, fit(case, points, own.modes.T, f"pressure {name}", report).values)
 
         start = self._starts.at
-        return BasisModel(self.workspace, section, name, trained, basis, start, values)
+        alone = values if self._is_alone else None
+        return BasisModel(self.workspace, section, name, trained, basis, start, alone)
 
     def at_point(self, point: ParameterPoint) -> BasisModel:
         """Return the model with its basis at a parameter point."""

@@ -116,8 +116,9 @@ class _Projection:
         if self.pressures is not None:
             self.whole = with_pressures(self.basis, self.pressures.modes)
             columns = np.ascontiguousarray(self.pressures.modes.T)
-            label = f"pressure {name}"
-            self.pressure_splines = fit(self.case, points.position, columns, label, self.report)
+            self.pressure_splines = fit(
+                self.case, points.position, columns, f"pressure {name}", self.report
+            )
 
     def stored(self, artifact: ArtifactWriter) -> BasisOperators:
         """Project everything, report it, and return the record to store; time the parts."""

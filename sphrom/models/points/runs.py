@@ -31,7 +31,6 @@ from sphrom.models.points.error_estimates import (
     steady_errors,
 )
 from sphrom.models.points.fast_model import FastModel, FastRun
-from sphrom.models.points.stored import with_pressure_modes
 from sphrom.models.reference.stored import expand, read_basis, read_points, read_values
 from sphrom.models.stable_ranges import against
 from sphrom.models.stored_run import ComputedRun
@@ -39,7 +38,7 @@ from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
 from sphrom.reduction.reduced_operators import largest_growth
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
-from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate, with_pressures
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.fluid import pressure_of
@@ -245,7 +244,8 @@ class CoordinateRun(ComputedRun):
         basis = truncate(read_basis(self._workspace, name), n_modes)
         if not self._owns_pressure:
             return basis
-        return with_pressure_modes(self._workspace, name, basis)
+        with self._workspace.open(self._workspace.operators()) as artifact:
+            return with_pressures(basis, artifact.read(f"bases/{name}/pressure/modes"))
 
     @property
     def _owns_pressure(self) -> bool:

@@ -24,7 +24,7 @@ from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles, fitted_cycle
 from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.reduction.trial_basis import TrialBasis, project, with_pressures
+from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
@@ -128,12 +128,6 @@ def recorded_of(case: Case, stored: BasisOperators) -> dict[str, Quantities]:
     recorded |= {name: totals(force.training_loads) for name, force in stored.wall_force.items()}
     ordered = {name: recorded[name] for name in case.scene.recorded}
     return with_coefficients(ordered, case.plan.coefficients)
-
-
-def with_pressure_modes(workspace: Workspace, name: str, basis: TrialBasis) -> TrialBasis:
-    """Read the pressure modes that models with a basis may own, and add them to its modes."""
-    with workspace.open(workspace.operators()) as artifact:
-        return with_pressures(basis, artifact.read(f"bases/{name}/pressure/modes"))
 
 
 def memory_timing(basis: str, n_modes: int) -> str:

@@ -31,14 +31,13 @@ from sphrom.models.points.stored import (
     snapshot_times,
     stored_starts,
 )
-from sphrom.models.reference.stored import read_basis, read_values
+from sphrom.models.reference.stored import read_basis
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.calibration import Calibration, TrainingRun
 from sphrom.reduction.correction import interpolated, learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
-from sphrom.reduction.mode_splines import Values
 from sphrom.reduction.own_pressure import (
     CANDIDATES,
     JOINT,
@@ -109,11 +108,11 @@ def _report_pressure(model: BasisModel, basis: str) -> None:
     if (errors := trained.pressure_errors) is None:
         return
     (chosen,) = trained.pressure or (JOINT,)
-    expected = zip(CANDIDATES, expected_errors(errors, trained.places), strict=True)
+    expected = map(format_figure, 100.0 * expected_errors(errors, trained.places))
     model.workspace.context.report.table(
         f"pressure of {model.section.name}, basis {basis}: {chosen}, by held-out training runs",
         ("pressure", "error [%]"),
-        [(name, format_figure(100.0 * error)) for name, error in expected],
+        list(zip(CANDIDATES, expected, strict=True)),
     )
 
 
@@ -176,13 +175,7 @@ class _Training:
         return self._learnt(trained, models, runs)
 
     def _with(self, trained: TrainedBasis) -> BasisModel:
-        def values() -> Values:
-            own = trained.own_pressure is not None
-            return read_values(self.workspace, self.name, self.section.size, own_pressure=own)
-
-        return BasisModel(
-            self.workspace, self.section, self.name, trained, self.basis, self.start, values
-        )
+        return BasisModel(self.workspace, self.section, self.name, trained, self.basis, self.start)
 
     def _learnt(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
@@ -304,7 +297,8 @@ class _Training:
         space = stored.of_modes(self.modes)
         runs: dict[int, TrainingRun] = {}
         predicted: dict[int, TrainingRun] = {}
-        for k in np.flatnonzero(np.isfinite(coordinates).all(axis=(1, 2))).tolist():
+        usable = np.isfinite(coordinates).all(axis=(1, 2)) & space.squares.any(axis=1)
+        for k in np.flatnonzero(usable).tolist():
             point = self.points[k]
             runs[k] = TrainingRun(
                 models[k].polynomial,
@@ -315,7 +309,7 @@ class _Training:
             )
             found = _with(coordinates[k], model.added(point, held_out=True))
             predicted[k] = replace(runs[k], coordinates=found)
-        if len(runs) < 2 or not all(space.squares[k].any() for k in runs):
+        if len(runs) < 2:
             return trained
         chosen, errors = choose(space, runs, predicted, trained.places)
         trained = replace(trained, pressure_errors=errors)

@@ -98,8 +98,7 @@ def both(modes: Values, pressures: Values) -> Values:
 
     def values(points: Array) -> Array:
         own = pressures(points)
-        at_rest = np.zeros((*own.shape, 2))
-        fields = np.concatenate((own[..., None], at_rest), axis=2)
+        fields = np.stack((own, 0.0 * own, 0.0 * own), axis=2)
         return np.hstack((modes(points), fields.reshape(len(own), -1)))
 
     return values
