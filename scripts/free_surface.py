@@ -5,10 +5,14 @@ Runs cases of the gallery, and prints a table for each part:
 - `rest`: fluid at rest in the tank of `standing_wave`, for twenty periods unless another number is
   given: the largest velocity over sqrt(g H), after the first period too, and the r.m.s. error of
   pressure over rho g H.
+- `real-water`: water at rest for ten periods in five tanks: the largest speed over sqrt(g H).
 - `wave` and `high-wave`: standing waves of 0.05 and 0.2 H over five periods: frequency over that of
   linear theory, and the rate of decay over 2 nu k^2, from the fluid's moment with the wave's
   potential, beside linear theory with viscosity and the correction of the frequency by Tadjbakhsh
   and Keller (J. Fluid Mech. 8, 1960).
+- `shallow`: the wave of 0.05 H in a tank filled to 0.3 m; 12 rows unless another number is given.
+  Also its pressure at half the depth, zero to six spacings from the wall, over that of linear
+  theory for the run's own amplitude.
 - `drop`: the drop's semi-axes, from its second moments, beside the ordinary differential equations.
 - `dam`: the front of the collapsing column beside Martin and Moyce (Phil. Trans. A 244, 1952), and
   `dam-causes`: the same from hydrostatic pressure, without slip, and with less viscosity.
@@ -29,7 +33,7 @@ import argparse
 import cmath
 import json
 import math
-import re
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -39,6 +43,7 @@ from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
+import yaml
 from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit
 from scipy.spatial import cKDTree
@@ -53,8 +58,17 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 GALLERY, FIGURES = ROOT / "cases" / "gallery", ROOT / "docs" / "figures"
 HEIGHT, WAVE_NUMBER = 0.5, math.pi
-OMEGA = math.sqrt(WAVE_NUMBER * math.tanh(WAVE_NUMBER * HEIGHT))
+OMEGA = 1.6974449
+"""Of the first wave [rad/s]."""
 PERIOD = 2.0 * math.pi / OMEGA
+TANKS: dict[str, dict[str, Any]] = {
+    "1.2 x 0.4": {},
+    "1 x 1": {"box__upper": [1.0, 1.5], "level": 1.0},
+    "1 x 0.15": {"box__upper": [1.0, 0.3], "level": 0.15},
+    "with a step": {"solids": {"step": {"rectangle": {"lower": [0.8, 0.0], "upper": [1.2, 0.2]}}}},
+    "with a slope": {"solids": {"slope": {"polygon": [[0.6, 0.0], [1.2, 0.0], [1.2, 0.3]]}}},
+}
+"""Of real water."""
 FRONT = {0.832: 1.217, 1.997: 2.292, 3.345: 4.134}
 """Martin and Moyce: z / a at t sqrt(2 g / a)."""
 DROP_PERIOD = 4.567375
@@ -76,23 +90,24 @@ class Run:
     """Its lower and its upper corner (2, 2) [m]."""
     viscosity: float
     spacing: float
+    probes: np.ndarray
+    """(n_snapshots, n_probes), measured pressures."""
 
 
 class Runs:
     """Makes full runs of the gallery's cases, once each, in a folder."""
 
-    def __init__(self, folder: Path, threads: int, ratio: float | None) -> None:
-        self.folder, self._threads, self._ratio = folder, threads, ratio
+    def __init__(self, folder: Path, threads: int, keys: dict[str, Any]) -> None:
+        self.folder, self._threads, self._keys = folder, threads, keys
 
     def __call__(self, name: str, resolution: int | None = None, **changes: Any) -> Run:
         """Return a run of a case, with keys changed; `a__b` stands for `a.b`."""
         keys = {key.replace("__", "."): value for key, value in changes.items()}
         if resolution is not None:
             keys["discretization.resolution"] = resolution
-        if self._ratio is not None:
-            keys["discretization.smoothing_length_ratio"] = self._ratio
-        told = "-".join((name, *(f"{key.split('.')[-1]}{keys[key]}" for key in sorted(keys))))
-        folder = self.folder / re.sub(r"[^\w.-]+", "_", told)
+        keys |= self._keys
+        told = zlib.crc32(repr(sorted(keys.items())).encode())
+        folder = self.folder / f"{name}-{told:08x}"
         study = Study(
             GALLERY / f"{name}.yaml", set=keys, out=folder, threads=self._threads, quiet=True
         )
@@ -101,7 +116,9 @@ class Runs:
         box = np.array((section.lower, section.upper))
         with h5py.File(next(study.folder.glob("fom-*.h5"))) as run:
             fields = [run[key][()] for key in ("time", "position", "velocity", "pressure")]
-            return Run(*fields, box, *(run.attrs[key] for key in ("kinematic_viscosity", SPACING)))
+            probes = [part["pressure"][()].ravel() for part in run.get("measure", {}).values()]
+            attributes = [run.attrs[key] for key in ("kinematic_viscosity", SPACING)]
+            return Run(*fields, box, *attributes, np.array(probes).T)
 
 
 def damped(t: np.ndarray, *shape: float) -> np.ndarray:
@@ -110,16 +127,21 @@ def damped(t: np.ndarray, *shape: float) -> np.ndarray:
     return mean + np.exp(-decay * t) * (sine * np.sin(rate * t) + cosine * np.cos(rate * t))
 
 
+def frequency(height: float) -> float:
+    """Return that of the first wave in a tank filled to a height [rad/s], by linear theory."""
+    return math.sqrt(WAVE_NUMBER * math.tanh(WAVE_NUMBER * height))
+
+
 def moment_of(run: Run) -> np.ndarray:
     """Return the fluid's moment (n_snapshots,) with the potential of the first wave."""
     x, y = np.moveaxis(WAVE_NUMBER * run.position, -1, 0)
     return np.mean(np.cos(x) * np.cosh(y), axis=1)
 
 
-def rate_and_decay(run: Run) -> tuple[float, float]:
+def rate_and_decay(run: Run, omega: float = OMEGA) -> tuple[float, float]:
     """Return the frequency [rad/s] and the rate of decay [1/s] of a run's first wave."""
     moment = moment_of(run)
-    start = (np.ptp(moment) / 2.0, 0.0, moment.mean(), OMEGA, 0.03)
+    start = (np.ptp(moment) / 2.0, 0.0, moment.mean(), omega, 0.03)
     shape = curve_fit(damped, run.time, moment, start)[0]
     return float(shape[3]), float(shape[4])
 
@@ -145,40 +167,107 @@ def rest(runs: Runs, resolution: int, periods: float = 20.0) -> dict[str, float]
     }
 
 
-def viscous_wave(viscosity: float) -> tuple[float, float]:
+def real_water(runs: Runs, rows: int) -> dict[str, float]:
+    """Return the largest speeds over sqrt(g H) of real water at rest, in tanks of five shapes."""
+    found = {}
+    for tank, scene in TANKS.items():
+        box = scene.get("box__upper", [1.2, 0.8])
+        level = scene.get("level", 0.4)
+        k = math.pi / box[0]
+        changes = {f"scene__{key}": value for key, value in scene.items() if key == "solids"}
+        run = runs(
+            "standing_wave",
+            rows,
+            scene__box__upper=box,
+            scene__fluid={"level": level, "gravity": 9.81},
+            scene__constants__amplitude=0.0,
+            scene__reference_length=level,
+            fluid__reference_speed=math.sqrt(9.81 * level),
+            parameters__train__reynolds=[1e6 * level * math.sqrt(9.81 * level)],
+            time__final_time=20.0 * math.pi / math.sqrt(9.81 * k * math.tanh(k * level)),
+            snapshots__every=20,
+            **changes,
+        )
+        speed = np.hypot(*np.moveaxis(run.velocity, -1, 0)).max(axis=1) / math.sqrt(9.81 * level)
+        first = run.time < 0.1 * run.time[-1]
+        found[f"{tank}, first period"] = float(speed[first].max())
+        found[f"{tank}, then"] = float(speed[~first].max())
+    return found
+
+
+def viscous_wave(viscosity: float, height: float = HEIGHT) -> tuple[float, float]:
     """Return the frequency and the rate of decay of a low wave of viscous fluid [1/s].
 
     Its rate s is a root of (s + 2 nu k^2)^2 + g k tanh(k H) = 4 nu^2 k^3 m tanh(k H) / tanh(m H),
     where m^2 = k^2 + s / nu: neither the surface nor the floor has shear stress. For deep fluid
     it is in Lamb, Hydrodynamics, section 349.
     """
-    rate = complex(0.0, OMEGA)
+    omega = frequency(height)
+    rate = complex(0.0, omega)
     for _ in range(50):
         m = cmath.sqrt(WAVE_NUMBER**2 + rate / viscosity)
-        shear = (2.0 * viscosity * WAVE_NUMBER * OMEGA) ** 2 * m / cmath.tanh(m * HEIGHT)
-        rate = 1j * cmath.sqrt(OMEGA**2 - shear) - 2.0 * viscosity * WAVE_NUMBER**2
+        shear = 4.0 * viscosity**2 * WAVE_NUMBER**3 * m * math.tanh(WAVE_NUMBER * height)
+        rate = 1j * cmath.sqrt(omega**2 - shear / cmath.tanh(m * height))
+        rate -= 2.0 * viscosity * WAVE_NUMBER**2
     return rate.imag, -rate.real
 
 
-def wave(runs: Runs, resolution: int, share: float = 0.05, **changes: Any) -> dict[str, float]:
+def wave(
+    runs: Runs, resolution: int, share: float = 0.05, height: float = HEIGHT, **changes: Any
+) -> dict[str, float]:
     """Return figures of a wave whose height is a share of the depth, over five periods."""
-    amplitude = share * HEIGHT
+    amplitude, omega = share * height, frequency(height)
     changes = {"scene__constants__amplitude": amplitude, **changes}
-    run = runs("standing_wave", resolution, time__final_time=5.0 * PERIOD, **changes)
-    rate, decay = rate_and_decay(run)
+    run = runs("standing_wave", resolution, time__final_time=10.0 * math.pi / omega, **changes)
+    rate, decay = rate_and_decay(run, omega)
     friction = 2.0 * run.viscosity * WAVE_NUMBER**2
-    t2 = math.tanh(WAVE_NUMBER * HEIGHT) ** 2
+    t2 = math.tanh(WAVE_NUMBER * height) ** 2
     bend = (9.0 / t2**2 - 12.0 / t2 - 3.0 - 2.0 * t2) / 64.0
     # The correction is with the square of the amplitude, of which the fit sees the mean.
     mean = np.mean(np.exp(-2.0 * friction * run.time))
-    low_rate, low_decay = viscous_wave(run.viscosity)
+    low_rate, low_decay = viscous_wave(run.viscosity, height)
     bent = bend * (WAVE_NUMBER * amplitude) ** 2 * mean
-    return {
-        "frequency / linear theory": rate / OMEGA,
-        "the same by theory": low_rate / OMEGA + bent,
+    found = {
+        "frequency / linear theory": rate / omega,
+        "the same by theory": low_rate / omega + bent,
         "decay / (2 nu k^2)": decay / friction,
         "the same by linear theory": low_decay / friction,
     }
+    if run.probes.size:
+        found |= wall_pressure(run, height)
+    return found
+
+
+def wall_pressure(run: Run, height: float) -> dict[str, float]:
+    """Return pressures at half the depth over those of linear theory for the run's own wave."""
+    moment = moment_of(run)
+    level = 2.0 * height * (moment - moment.mean()) / math.cosh(WAVE_NUMBER * height)
+    depth = math.cosh(0.5 * WAVE_NUMBER * height) / math.cosh(WAVE_NUMBER * height)
+    found = {}
+    for n, pressure in enumerate(run.probes.T):
+        slope = np.polyfit(level, pressure, 1)[0]
+        at = math.cos(WAVE_NUMBER * n * run.spacing)
+        found[f"pressure / linear theory, {n} spacings from the wall"] = slope / (depth * at)
+    return found
+
+
+def shallow(runs: Runs, rows: int) -> dict[str, float]:
+    """Return figures of a low wave in a tank filled to 0.3 m, with its pressure beside a wall."""
+    height = 0.3
+    places = {f"at{n}": {"probe": [n * height / rows, 0.5 * height]} for n in range(7)}
+    scale = f"amplitude*omega/{math.sinh(WAVE_NUMBER * height)!r}"
+    return wave(
+        runs,
+        rows,
+        height=height,
+        scene__fluid__level=height,
+        scene__reference_length=height,
+        scene__measure=places,
+        scene__constants__omega=frequency(height),
+        scene__initial__u=f"{scale}*cosh(pi*y)*sin(pi*x)",
+        scene__initial__v=f"-{scale}*sinh(pi*y)*cos(pi*x)",
+        fluid__reference_speed=math.sqrt(height),
+    )
 
 
 def high_wave(runs: Runs, resolution: int) -> dict[str, float]:
@@ -297,6 +386,8 @@ PARTS: dict[str, tuple[Callable[[Runs, int], dict[str, float]], tuple[int, ...]]
     "rest": (rest, (32, 64)),
     "wave": (wave, (32, 64)),
     "high-wave": (high_wave, (32, 64)),
+    "shallow": (shallow, (12, 15, 30)),
+    "real-water": (real_water, (12, 24)),
     "drop": (drop, (20, 40)),
     "dam": (dam, (30, 60)),
     "dam-causes": (dam_causes, (30,)),
@@ -379,6 +470,7 @@ def main() -> None:
     parser.add_argument("parts", nargs="+", choices=(*PARTS, "pictures"))
     parser.add_argument("--resolution", type=int, nargs="+", help="particles over a length of one")
     parser.add_argument("--ratio", type=float, nargs="+", default=[None], help="h / dx")
+    parser.add_argument("--set", nargs="+", default=[], help="keys of all cases, as KEY=VALUE")
     parser.add_argument("--periods", type=float, default=20.0, help="of fluid at rest")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/free_surface"))
@@ -388,14 +480,21 @@ def main() -> None:
     rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     for part in given.parts:
         if part == "pictures":
-            draw(Runs(given.out, given.threads, None))
+            draw(Runs(given.out, given.threads, {}))
             continue
         measure, resolutions = PARTS[part]
         if part == "rest":
             measure = partial(rest, periods=given.periods)
         for resolution, ratio in product(given.resolution or resolutions, given.ratio):
-            found = measure(Runs(given.out, given.threads, ratio), resolution)
-            where = f"{part}, resolution {resolution}, h/dx {ratio or 'of the case'}"
+            keys = {
+                key: yaml.safe_load(value)
+                for key, _, value in (x.partition("=") for x in given.set)
+            }
+            if ratio is not None:
+                keys["discretization.smoothing_length_ratio"] = ratio
+            found = measure(Runs(given.out, given.threads, keys), resolution)
+            told = ", ".join(f"{key}: {value}" for key, value in keys.items())
+            where = f"{part}, resolution {resolution}{told and ', '}{told}"
             rows[where] = found
             print(where, *(f"  {name:46}{value:12.5g}" for name, value in found.items()), sep="\n")
             path.write_text(json.dumps(rows, indent=1), encoding="utf-8")

@@ -54,7 +54,7 @@ class Flow:
     end: float
     """[s]."""
     report: Report
-    wall_velocity: Callable[[Array], Array] | None = None
+    wall_velocity: Callable[[Array], Array] = np.zeros_like
     force: tuple[float, float] = (0.0, 0.0)
     start: Callable[[Array], Array] = np.zeros_like
     """The velocity (n, 2) at positions (n, 2)."""
@@ -65,7 +65,7 @@ def run(flow: Flow) -> None:
     discretization = Discretization(
         flow.spacing, 2.0 * flow.spacing, acoustic_damping=1.0, fixed_volume=True
     )
-    domain, walls = flow.domain, None
+    domain = flow.domain
     walls = domain.ghosts(flow.spacing, discretization.n_layers).moving(flow.wall_velocity)
     position = pack(
         domain, discretization, ghosts=walls.position, perturbation=PERTURBATION, tolerance=3e-4

@@ -236,15 +236,15 @@ class BruteForce:
         weights = self.kernel(np.linalg.norm(self.offsets(points), axis=2)) * self.spacing**2
         return (weights @ self.images(field)) / weights.sum(axis=1)
 
-    def moving_least_squares(self, points: Array, field: Array) -> Array:
-        """The value of the weighted quadratic fit around each point."""
+    def moving_least_squares(self, points: Array, field: Array, n_terms: int = 6) -> Array:
+        """The value of the weighted fit around each point, quadratic or of three linear terms."""
         offset = -self.offsets(points)
         weights = self.kernel(np.linalg.norm(offset, axis=2))
         values = self.images(field)
         fits = []
         for x, y, weight in zip(offset[..., 0], offset[..., 1], weights, strict=True):
             x, y = x / self.smoothing_length, y / self.smoothing_length
-            terms = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y), axis=1)
+            terms = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y)[:n_terms], axis=1)
             near = weight > 0.0
             root = np.sqrt(weight[near] / weight.max())
             solved = np.linalg.lstsq(root[:, None] * terms[near], root * values[near], rcond=None)

@@ -156,29 +156,24 @@ def ramp_share(ramp: float, time: Array | float) -> Array | float:
     return 0.5 - 0.5 * np.cos(math.pi * np.clip(np.divide(time, ramp), 0.0, 1.0))
 
 
-def surface_defaults(slip_along_axes: bool) -> dict[str, Any]:
-    """Return defaults of other sections for scenes with a free surface.
-
-    A lattice under pressure resists shear like a solid, because the kernel's sums are inexact on a
-    strained lattice: at h = 2 dx waves are 0.6 % too fast. Only viscous forces along pairs are
-    consistent at the surface (Colagrossi et al., Phys. Rev. E 84, 2011). Walls that return the flux
-    into them turn fluid that slides past their ghosts into noise. Other walls need a damper; it is
-    weak, because sums over an incomplete support have a divergence at the surface.
-
-    Parameters
-    ----------
-    slip_along_axes : whether fluid slips freely along all walls, and all follow the axes.
-    """
-    return {
-        "discretization": {
-            "smoothing_length_ratio": 2.5,
-            "acoustic_damping": 0.1,
-            "fixed_volume": False,
-            "viscosity": "paper",
-            "shifting": {"enabled": False},
-            "walls": {"kind": "normal" if slip_along_axes else "adjoint"},
-        }
+SURFACE_DEFAULTS: Mapping[str, Any] = {
+    "discretization": {
+        "smoothing_length_ratio": 2.5,
+        "acoustic_damping": 0.1,
+        "fixed_volume": False,
+        "viscosity": "paper",
+        "shifting": {"enabled": False},
+        "walls": {"kind": "adjoint"},
     }
+}
+"""Defaults of other sections for scenes with a free surface.
+
+A lattice under pressure resists shear like a solid, because the kernel's sums are inexact on a
+strained lattice: at h = 2 dx waves are 0.6 % too fast. Only viscous forces along pairs are
+consistent at the surface (Colagrossi et al., Phys. Rev. E 84, 2011). Walls of kind `adjoint` give
+no energy to sound, so that fluid at rest stays at rest. The damper is weak, because sums over an
+incomplete support have a divergence at the surface.
+"""
 
 
 class SurfaceFluidSection(Section):

@@ -213,10 +213,14 @@ def not_whole(duration: float, step: float) -> str | None:
 def beyond_limits(case: Case) -> Iterator[str]:
     """Yield the limits that the time step exceeds."""
     step = case.time.step
-    stable = case.plan.limits
+    plan = case.plan
+    stable = plan.limits
+    sizes = plan.discretization
+    courant = stable.acoustic * plan.sound_speed / sizes.smoothing_length
+    beside = f"beside walls at most {sizes.walls.viscous_limit:g} h dx / nu"
     limits = {
-        "acoustic": (stable.acoustic, "1.5 h / c0, Eq. 2.19"),
-        "viscous": (stable.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
+        "acoustic": (stable.acoustic, f"{courant:.3g} h / c0, Eq. 2.19"),
+        "viscous": (stable.viscous, f"0.125 h^2 / nu, {beside}"),
     }
     for name, (limit, formula) in limits.items():
         if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):

@@ -45,6 +45,7 @@ def case_warnings(case: Case) -> list[str]:
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
         *_of_strip(case),
         *_of_kernel(case),
+        *_of_walls(case),
         *_of_porous(case),
         *_of_fields(case),
         *_of_driving(case),
@@ -84,6 +85,16 @@ def _of_kernel(case: Case) -> Iterator[str]:
             f"{key}: h is {width:.2g} of the flow's length, too wide for its pressure, which was "
             f"off by 43 to 52 % at 0.15 and by 84 % at 0.2; use {USUAL:g} or less, or "
             f"discretization.resolution: {resolution}"
+        )
+
+
+def _of_walls(case: Case) -> Iterator[str]:
+    kind = case.discretization.walls.kind
+    if case.scene.free_slip and kind in ("normal", "adami", "printed-normal"):
+        yield (
+            f"discretization.walls.kind: with slip: free, {kind} leaves flow along a wall out of "
+            "continuity but not its pressure, so fluid gains energy: water at rest began to move "
+            "within ten periods; use adjoint"
         )
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationInfo, model_validator
 
-from sphrom.case.custom_sections import surface_defaults
+from sphrom.case.custom_sections import SURFACE_DEFAULTS
 from sphrom.case.fields import SafeName, Section, key
 from sphrom.case.model_sections import AnyModel
 from sphrom.case.plan import Plan
@@ -95,9 +95,7 @@ class Case(Section):
         filled = {name: value for name, value in values.items() if value is not None}
         filled.setdefault("scene", {})
         if isinstance(filled["scene"], Mapping) and filled["scene"].get("fluid") is not None:
-            scene = filled["scene"]
-            along_axes = scene.get("slip") == "free" and not scene.get("solids")
-            filled = with_defaults(filled, surface_defaults(along_axes))
+            filled = with_defaults(filled, SURFACE_DEFAULTS)
         return with_defaults(filled, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")

@@ -1,8 +1,9 @@
 """Interpolation from particles to fixed points: Shepard (Eq. 3.15) and moving least squares.
 
 Both take sources sorted by cell, with three fields each, and any points. Moving least squares fit a
-full quadratic polynomial, weighted by the kernel, and return its value at the point. Coordinates
-are offsets over the smoothing length, so that all moments have a similar size.
+full quadratic polynomial, weighted by the kernel, and return its value at the point, or for the
+first field a mean of this value and that of a linear polynomial. Coordinates are offsets over the
+smoothing length, so that all moments have a similar size.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from sphrom.kernels.pairs import kernel_of
 from sphrom.kernels.sums import over_rows
 from sphrom.kernels.vectors import Vector, element, minus, times
 
-N_TERMS = 6
-"""Terms of a quadratic polynomial in two dimensions: 1, x, y, x^2, x y, y^2."""
+N_TERMS, N_LINEAR = 6, 3
+"""Terms of a quadratic polynomial in two dimensions: 1, x, y, x^2, x y, y^2; the linear ones."""
 N_CHUNKS = 64
 """Number of parts into which points are divided; each has its own scratch memory."""
 N_SUMS = 33
@@ -156,11 +157,38 @@ def _is_determined(sums: Array, factor: Array) -> bool:
 
 
 @term
-def _value_at_origin(sums: Array, factor: Array, solution: Array) -> None:
+def _solve_first(factor: Array, n_terms: int) -> None:
+    """Solve M z = e_0 with the first terms of M = C C^T; z is the last row of `factor`."""
+    z = factor[N_TERMS]
+    for i in range(n_terms):
+        value = 1.0 if i == 0 else 0.0
+        for k in range(i):
+            value -= factor[i, k] * z[k]
+        z[i] = value / factor[i, i]
+    for r in range(n_terms):
+        i = n_terms - 1 - r
+        value = z[i]
+        for k in range(i + 1, n_terms):
+            value -= factor[k, i] * z[k]
+        z[i] = value / factor[i, i]
+
+
+@term
+def _constant_of(field: int, sums: Array, factor: Array, n_terms: int) -> float:
+    """Return the constant term z . b of the polynomial of a field."""
+    value = 0.0
+    for i in range(n_terms):
+        value += factor[N_TERMS, i] * sums[15 + N_TERMS * field + i]
+    return value
+
+
+@term
+def _value_at_origin(sums: Array, factor: Array, linear: float, solution: Array) -> None:
     """Solve the 6 x 6 normal equations by Cholesky's method for the constants of the polynomials.
 
     With M = C C^T, the constant term of M^-1 b is z . b for M z = e_0, so only z is solved for. If
-    M is singular up to rounding, the result is NaN.
+    M is singular up to rounding, the result is NaN. The first rows of C are those of the linear
+    polynomial, which has the share `linear` in the first field.
     """
     for i in range(N_TERMS):
         for j in range(i + 1):
@@ -171,36 +199,26 @@ def _value_at_origin(sums: Array, factor: Array, solution: Array) -> None:
             for k in range(j):
                 value -= factor[i, k] * factor[j, k]
             factor[i, j] = math.sqrt(value) if i == j else value / factor[j, j]
-    z = factor[N_TERMS]
-    for i in range(N_TERMS):
-        value = 1.0 if i == 0 else 0.0
-        for k in range(i):
-            value -= factor[i, k] * z[k]
-        z[i] = value / factor[i, i]
-    for r in range(N_TERMS):
-        i = N_TERMS - 1 - r
-        value = z[i]
-        for k in range(i + 1, N_TERMS):
-            value -= factor[k, i] * z[k]
-        z[i] = value / factor[i, i]
+    _solve_first(factor, N_TERMS)
     for f in range(3):
-        value = 0.0
-        for i in range(N_TERMS):
-            value += z[i] * sums[15 + N_TERMS * f + i]
-        solution[f] = value
+        solution[f] = _constant_of(f, sums, factor, N_TERMS)
+    if linear > 0.0:
+        _solve_first(factor, N_LINEAR)
+        solution[0] += linear * (_constant_of(0, sums, factor, N_LINEAR) - solution[0])
     if not _is_determined(sums, factor):
         solution[:] = math.nan
 
 
 @parallel
 def moving_least_squares(
-    points: Array, source: Array, search: Search, scratch: Array, out: Array
+    points: Array, linear: Array, source: Array, search: Search, scratch: Array, out: Array
 ) -> None:
     """Interpolate by a quadratic polynomial fitted around each point (Lancaster, Salkauskas 1981).
 
     Parameters
     ----------
     points : (2, n_points) [m].
+    linear : (n_points,) share of a linear polynomial in the first field.
     source : (5, n_sources) rows x, y [m] and three fields, sorted by cell.
     scratch : (N_CHUNKS, 90) scratch memory.
     out : (3, n_points) the fields; NaN if the sources within reach do not determine a polynomial.
@@ -217,6 +235,6 @@ def moving_least_squares(
             for row in range(first, last):
                 low, high = range_in_row(x, y, row, search)
                 _add_moments((x, y), source, slice(low, high), search.inverse_length, sums)
-            _value_at_origin(sums, factor, solution)
+            _value_at_origin(sums, factor, linear[i], solution)
             for f in range(3):
                 out[f, i] = solution[f]

@@ -45,7 +45,14 @@ def _moment_row(
         sxx += w * ox * ox
         sxy += w * ox * oy
         syy += w * oy * oy
-    return total[0] + s, total[1] + sx, total[2] + sy, total[3] + sxx, total[4] + sxy, total[5] + syy
+    return (
+        total[0] + s,
+        total[1] + sx,
+        total[2] + sy,
+        total[3] + sxx,
+        total[4] + sxy,
+        total[5] + syy,
+    )
 
 
 @parallel

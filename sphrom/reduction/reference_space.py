@@ -8,6 +8,12 @@ third order. On 100x100 jittered particles, a layer of a tenth of the box has an
 within the support of the wall and 3e-5 elsewhere. Noise is damped to 0.6 in the outermost points
 and amplified by 1.2 in corners. Shepard interpolation is of first order there: the same layer has
 an error of 6e-2 at h = 2 dx, and of 0.12 at h = 4 dx.
+
+In full runs, the pressures of rows beside walls are high and low in turn, by a quarter of what the
+flow's own pressure varies in the worst case. A quadratic fit amplifies this to 3.4 times its size
+on the wall, a linear one to 1.4 times, and it halves noise. The density therefore has a share of a
+linear fit: all on the wall, and nothing where the wall is beyond the support or the flow has a
+surface. The error of a linear fit is up to 1.1 dx^2 times half the second derivative.
 """
 
 from __future__ import annotations
@@ -67,6 +73,11 @@ class ReferenceMap:
         self.smoothing_length = smoothing_length
         self.method, self._filled = method, filled
         self._points = np.ascontiguousarray(domain.wrap(points).T)
+        self._reach = SUPPORT_RATIO * smoothing_length
+        self._linear = np.zeros(self._points.shape[1])
+        if filled is None:
+            away = domain.wall_distance(self._points.T) / self._reach
+            self._linear = np.maximum(0.0, 1.0 - away)
         self._scratch = np.zeros((interpolation.N_CHUNKS, 90))
 
     def __call__(
@@ -76,7 +87,7 @@ class ReferenceMap:
 
         Raises TooFewParticlesError if those near a point are too few or determine no polynomial.
         """
-        reach = SUPPORT_RATIO * self.smoothing_length
+        reach = self._reach
         sources = sort_sources(position.T, self.domain, reach, self.particle_spacing)
         source = np.empty((5, sources.particle.size))
         source[:2] = position.T[:, sources.particle] + sources.image
@@ -85,7 +96,9 @@ class ReferenceMap:
         out = np.empty((3, self._points.shape[1]))
         search = sources.search(reach, self.smoothing_length)
         if self.method == "mls":
-            interpolation.moving_least_squares(self._points, source, search, self._scratch, out)
+            interpolation.moving_least_squares(
+                self._points, self._linear, source, search, self._scratch, out
+            )
         else:
             interpolation.shepard(self._points, source, search, out)
         if self._filled is not None:

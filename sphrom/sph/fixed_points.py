@@ -10,9 +10,10 @@ and every sum of the functional is a matrix. With q = c0 rho'/rho0 [m/s] for the
 
 where the advective terms arise because the points are fixed (Eq. 3.1-3.6), and alpha h D u is the
 acoustic damper. Ghosts depend linearly on the fluid: S is Shepard interpolation to them (Eq. 2.15).
-Their q is S q, plus a head if there is a body force beta b. Their velocity is extrapolated from
-each point through walls that move with s U, at distances d_i and d_g from the wall. With sums over
-the fluid's points j and ghosts g, and with Laplacian weights F normalised by c,
+Their q is S q, plus a head if there is a body force beta b. If S stands for linear fits instead, it
+is exact for linear q, and there are no heads: K = 0. Their velocity is extrapolated from each point
+through walls that move with s U, at distances d_i and d_g from the wall. With sums over the fluid's
+points j and ghosts g, and with Laplacian weights F normalised by c,
 
     G q = sum_j (q_j + q_i) grad W V + sum_g ((S q)_g + q_i) grad W V
     D u = -G^T u

@@ -38,6 +38,10 @@ LARGEST_MACH_NUMBER = 0.3
 """Largest Mach number of a weakly compressible flow."""
 PAIR_FACTOR = 8.0
 """2 (n + 2) of Eq. 2.12, in two dimensions."""
+BESIDE = 1e-3
+"""Distance along a wall at which the walls beside a point of it are found, over a ghost's depth."""
+LEAST_TURN = 0.5
+"""The least sine of the angle between two walls for forces on ghosts to be resolved along them."""
 
 
 @dataclass(frozen=True)
@@ -345,12 +349,35 @@ def measured_wall(
     ----------
     wall_velocity : returns the walls' velocity (n_points, 2) [m/s] at places (n_points, 2) [m].
     """
-    ghosts = np.flatnonzero(walls.wall == domain.wall_names.index(name))
-    x, y = domain.arms(name, domain.on_wall(domain.wrap(walls.position[ghosts]))).T
     weights = np.zeros((3, 2, len(walls.wall)))
-    weights[0, 0, ghosts] = weights[1, 1, ghosts] = 1.0
-    weights[TORQUE][:, ghosts] = -y, x
+    weights[:TORQUE] = _shares(domain, walls, domain.wall_names.index(name))
+    ghosts = np.flatnonzero(weights.any(axis=(0, 1)))
+    x, y = domain.arms(name, domain.on_wall(domain.wrap(walls.position[ghosts]))).T
+    weights[TORQUE][:, ghosts] = x * weights[1][:, ghosts] - y * weights[0][:, ghosts]
     return MeasuredWall(weights, domain.circulation(name, wall_velocity))
+
+
+def _shares(domain: Domain, walls: Walls, wall: int) -> Array:
+    """Return the matrices (2, 2, n_ghosts) that give a wall's part of the forces on ghosts.
+
+    Behind a corner in which two walls meet, a force is the sum of two, along their normals:
+    pressure pushes each wall along its normal only. Any other force is that on the nearest wall.
+    """
+    place = domain.wrap(walls.position)
+    way = domain.on_wall(place) - place
+    along = BESIDE * np.stack((-way[:, 1], way[:, 0]), axis=1)
+    # The nearest point of a ghost behind a corner is the corner, with a wall on either side.
+    sides = [place + (1.0 - BESIDE**2) * way + step for step in (along, -along)]
+    owners = [domain.nearest_wall(side) for side in sides]
+    normals = [domain.distance_and_normal(side)[1].T for side in sides]
+    a, b = (
+        normal[:, None] * (owner == wall) for normal, owner in zip(normals, owners, strict=True)
+    )
+    along_a, along_b = (np.stack((-normal[1], normal[0])) for normal in normals)
+    turn = np.sum(along_a * normals[1], axis=0)
+    shared = (owners[0] != owners[1]) & (np.abs(turn) > LEAST_TURN)
+    parts = (b * along_a - a * along_b) / np.where(shared, turn, 1.0)
+    return np.where(shared, parts, np.eye(2)[..., None] * (walls.wall == wall))
 
 
 class WallForces:
@@ -372,7 +399,8 @@ class WallForces:
         loads = {}
         for name, wall in self.walls.items():
             loads[name] = np.stack([wall.loads(part) for part in forces])
-            # Factors of all ghosts of one wall are equal.
-            factor = np.broadcast_to(speed, wall.weights.shape[2])[wall.weights[0, 0] > 0.0]
+            # Factors of all ghosts of one wall are equal; it has part of the force on others.
+            own = np.all(wall.weights[[0, 1], [0, 1]] == 1.0, axis=0)
+            factor = np.broadcast_to(speed, own.size)[own]
             loads[name][1, TORQUE] -= viscosity * factor[:1].sum() * wall.circulation
         return loads

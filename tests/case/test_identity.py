@@ -59,7 +59,7 @@ def test_cavities_of_the_paper_are_as_printed_but_for_walls_and_steps(scene):
         ("lid_driven_cavity_paper", {"continuity": "paper"}, "adami-as-fluid"),
         ("lid_driven_cavity_paper", {"no_slip": "paper"}, "printed-normal"),
         ("sloshing", {"continuity": "adjoint"}, "adjoint"),
-        ("sloshing", {}, "normal"),
+        ("sloshing", {"no_slip": "linear"}, "adjoint"),
     ],
 )
 def test_earlier_keys_of_walls_are_read_as_kinds(scene, given, kind):

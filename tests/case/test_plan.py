@@ -13,6 +13,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.template import examples
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
+from sphrom.sph.walls.kinds import KINDS
 
 LID = "name: box\nscene:\n  kind: lid-driven-cavity\n"
 
@@ -284,6 +285,13 @@ name: tank
 scene: {kind: custom, slip: free, reference_length: 0.5, fluid: {level: 0.5, gravity: 1.0}}
 rom: []
 """
+
+
+def test_walls_that_give_energy_to_slipping_fluid_are_warned_of(load):
+    for kind in (name for name, rule in KINDS.items() if rule.below_surfaces):
+        case = load(f"discretization: {{walls: {{kind: {kind}}}}}\n", base=TANK)
+        warned = any("gains energy" in text for text in case_warnings(case))
+        assert warned == (kind in ("normal", "adami", "printed-normal"))
 
 
 @pytest.mark.parametrize(

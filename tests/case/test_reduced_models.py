@@ -26,8 +26,8 @@ def fast(**keys: object) -> str:
     ("base", "key", "given", "needed"),
     [
         (None, "viscosity", "paper", "laplacian"),
-        (OPEN, "walls.kind", "normal", "adjoint"),
-        (LID, "walls.kind", "printed", "adjoint"),
+        (OPEN, "walls.kind", "normal", "mirrored or adjoint"),
+        (LID, "walls.kind", "printed", "mirrored or adjoint"),
     ],
 )
 def test_readings_that_fixed_points_do_not_have(load, refusal, base, key, given, needed):

@@ -143,7 +143,7 @@ def test_what_the_data_do_not_determine_is_said(study, columns, change):
     found = model.fit(one)
     only, other, good = found.problems
     assert only.startswith("the data determine only a combination of reynolds and lid")
-    assert other.startswith("other fits are nearly as good: reynolds=102.5, lid=0.695")
+    assert other.startswith("other fits are nearly as good: reynolds=102, lid=0.696")
     assert "the noise is smaller than stated" in good
     assert {each.remark for each in found.estimates} == {"not determined"}
     if not change:
@@ -167,11 +167,12 @@ def test_an_estimate_at_a_bound_says_so(study, columns):
 
 def test_a_bad_fit_says_so(study, columns):
     table = {name: columns[name] for name in ("time", U, V)}
-    swapped = {**table, U: columns[V], V: columns[U]}
-    found = study.model("fast", **TRUE).fit(swapped, noise=1.0)
+    mixed = 0.5 * (columns[U] + columns[V])
+    alike = {**table, U: mixed, V: mixed}
+    found = study.model("fast", **TRUE).fit(alike, noise=1.0)
     assert any(p.startswith("the fit is bad: chi^2 per degree") for p in found.problems)
     noise = 1.1 * float(found.warnings.partition("the noise is ")[2].split()[0])
-    assert "bad" not in study.model("fast", **TRUE).fit(swapped, noise=noise).warnings
+    assert "bad" not in study.model("fast", **TRUE).fit(alike, noise=noise).warnings
     for factor in (1.0, 1.3, 1.5, 2.0, 4.0):
         other = {**table, U: factor * table[U]}
         found = study.model("fast", **TRUE).fit(other, noise=1.0)

@@ -53,7 +53,7 @@ def test_trajectories_keep_their_ghosts_and_lose_no_particle(lid):
             position = run.read("position")
             ghosts, velocity = run.read("ghost/position"), run.read("ghost/wall_velocity")
             assert 256 * run.number("mass") == pytest.approx(1.0)
-        assert position.shape == (12, 256, 2)
+        assert position.shape == (13, 256, 2)
         assert all(domain.contains(snapshot).all() for snapshot in position)
         assert len(ghosts) == 24**2 - 16**2
         assert not domain.contains(ghosts).any()
@@ -64,8 +64,8 @@ def test_trajectories_keep_their_ghosts_and_lose_no_particle(lid):
 def test_reduced_runs_carry_the_mean_density_apart(lid):
     with trajectory(lid / "rom-galerkin-reynolds100.h5") as run:
         mean, fluctuation = (run.read(f"{name}density_fluctuation") for name in ("mean_", ""))
-        assert run.read("generalized_coordinates").shape == (12, 4)
-    assert mean.shape == (12,)
+        assert run.read("generalized_coordinates").shape == (13, 4)
+    assert mean.shape == (13,)
     assert np.abs(mean).max() < 0.05 * np.abs(fluctuation).max()
 
 

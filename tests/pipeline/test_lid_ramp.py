@@ -36,11 +36,11 @@ def test_the_full_run_starts_slowly_and_without_much_sound(made):
         with open_artifact(path, "sphrom/trajectory", made_by="") as run:
             time, density = run.read("time"), run.read("density_fluctuation")
             speeds.append(np.linalg.norm(run.read("velocity")[1], axis=1).max())
-        early = (time > RAMP) & (time < RAMP + 0.4)
+        early = time < RAMP + 0.4
         sounds.append(np.abs(np.diff(density[early], 2, axis=0)).mean())
     assert speeds[0] < 0.05 * speeds[1]
-    # The damper takes most of the sound of a start at once: measured, 0.70 to 0.77.
-    assert sounds[0] < 0.9 * sounds[1]
+    # Measured: 0.29. Later, second differences are mostly particle noise.
+    assert sounds[0] < 0.5 * sounds[1]
 
 
 @pytest.mark.parametrize("name", [model["name"] for model in CASE["rom"]])

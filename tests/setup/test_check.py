@@ -32,8 +32,8 @@ def test_open_cavity_tells_its_ghosts_its_spin_up_and_its_force_s_limit() -> Non
     case = make("open-cavity", parameters={"train": {"reynolds": [1e5]}})
     assert described(case) == (
         "reynolds=100000: 15000 particles and 2000 ghosts, 50 neighbours each, c0 = 20 m/s, nu = "
-        "4e-06 m2/s; 6670 steps of 0.0001499 s after 33350 steps to spin up, 0.5 of the acoustic "
-        "limit, 0.00041 of the viscous limit; 668 snapshots; "
+        "4e-06 m2/s; 7000 steps of 0.0001429 s after 35000 steps to spin up, 0.5 of the acoustic "
+        "limit, 0.00039 of the viscous limit; 701 snapshots; "
         "no particles resolve layers of L / sqrt(Re) = 0.00063 m at walls"
     )
 

@@ -66,6 +66,7 @@ CORNERS = {
 
 
 RULES = {
+    "mirrored": ("linear", "adjoint"),
     "adjoint": ("linear", "adjoint"),
     "normal": ("linear", "normal"),
     "adami": ("whole", "normal"),
@@ -168,12 +169,12 @@ def distances(domain: Domain, position: Array, ghosts: Array) -> tuple[Array, Ar
     return shapely.distance(solid, places[0]), shapely.distance(fluid, places[1])
 
 
-def gains(domain: Domain, ghosts: Array, length: float) -> Array:
+def gains(domain: Domain, ghosts: Array, length: float, most: float) -> Array:
     """Return what ghosts gain in depth behind corners that jut into the fluid (n_ghosts,)."""
     gain = np.ones(len(ghosts))
     for x, y, sharpness in CORNERS.get(domain, []):
         q = np.minimum(np.hypot(*(ghosts - (x, y)).T) / length, 2.0)
-        gain = np.maximum(gain, 1.0 + 3.0 * sharpness * (1.0 - q / 2.0) ** 4 * (2.0 * q + 1.0))
+        gain = np.maximum(gain, 1.0 + most * sharpness * (1.0 - q / 2.0) ** 4 * (2.0 * q + 1.0))
     return gain
 
 
@@ -203,12 +204,15 @@ class WallSums:
         direction = offset / self.distance[..., None]
         self.offset = offset
         self.gradient = self.fluid.kernel_slope(self.distance)[..., None] * direction
-        nearest = 0.5 * discretization.particle_spacing
+        self.mirrored = discretization.wall_kind == "mirrored"
+        nearest = (0.35 if self.mirrored else 0.5) * discretization.particle_spacing
         from_wall, depth = distances(domain, self.fluid.position, self.walls.position)
         self.depth = depth
         self.no_slip, self.continuity = RULES[discretization.wall_kind]
         if self.continuity == "adjoint":
-            self.depth *= gains(domain, self.walls.position, discretization.smoothing_length)
+            most = 2.5 if self.mirrored else 3.0
+            length = discretization.smoothing_length
+            self.depth *= gains(domain, self.walls.position, length, most)
         self.from_wall = np.maximum(from_wall, nearest)
 
     def ghost_fields(self) -> GhostFields:
@@ -219,6 +223,8 @@ class WallSums:
         push = self.fluid.images(self.density[:, None] * self.body_force)
         head = np.einsum("gj,gjd,jd->g", weights, offset, push)
         stiffness = self.functional.fluid.sound_speed**2
+        if self.mirrored:
+            weights, head = self.fits(), np.zeros(len(head))
         fluctuation = weights @ self.fluid.images(self.fluctuation) + head / stiffness
         return GhostFields(
             weights=weights,
@@ -226,6 +232,31 @@ class WallSums:
             velocity=self._ghost_velocity(weights @ self.fluid.images(self.velocity)),
             volume=self.mass / (self.reference_density + fluctuation),
         )
+
+    def fits(self) -> Array:
+        """The weights (n_ghosts, n_sources) of linear fits around mirror points in the fluid."""
+        domain, ghost = self.functional.domain, self.walls.position
+        length = self.functional.discretization.smoothing_length
+        way = domain.on_wall(ghost) - ghost
+        depth = np.linalg.norm(way, axis=1)
+        inside = np.maximum(depth, length)
+        for _ in range(9):
+            mirror = ghost + (1.0 + inside / depth)[:, None] * way
+            beyond = distances(domain, mirror, ghost)[0] <= 0.0
+            inside[beyond] /= 2.0
+        # Offsets point from sources to places.
+        offset = -self.fluid.offsets(mirror)
+        kernel = self.fluid.kernel(np.linalg.norm(offset, axis=2))
+        out = np.zeros_like(kernel)
+        for g, (w, o) in enumerate(zip(kernel, offset / length, strict=True)):
+            if not w.any():
+                continue
+            out[g] = w / w.sum()
+            if np.linalg.det(np.cov(o.T, aweights=w, bias=True)) > 1e-3:
+                terms = np.hstack((np.ones((len(o), 1)), o)) * np.sqrt(w)[:, None]
+                row = np.append(1.0, (ghost - mirror)[g] / length)
+                out[g] = row @ np.linalg.pinv(terms) * np.sqrt(w)
+        return out
 
     def _ghost_velocity(self, mean: Array) -> Array:
         """What ghosts have for all particles alike; where it is extrapolated, their wall's."""
@@ -308,9 +339,10 @@ class WallSums:
                 if 0.0 < distance < 1.5:
                     way /= np.linalg.norm(way)
                     towards = out[i] @ way
-                    pushed = max(towards, 0.0) * np.interp(distance, [0.5, 1.5], [0.0, 1.0])
+                    low, high = (0.1, 0.2) if self.mirrored else (0.25, 0.5)
+                    pushed = max(towards, 0.0) * np.interp(distance, [high, 1.5], [0.0, 1.0])
                     back = (
-                        against * max(u @ way, 0.0) * np.interp(distance, [0.25, 0.5], [1.0, 0.0])
+                        against * max(u @ way, 0.0) * np.interp(distance, [low, high], [1.0, 0.0])
                     )
                     if towards > pushed - back:
                         out[i] += (pushed - back - towards) * way

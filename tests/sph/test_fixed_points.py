@@ -169,7 +169,7 @@ def test_driven_walls_move_with_the_amplitude(setting) -> None:
 @pytest.mark.parametrize("name", ["forced box", "forced cavity"])
 def test_of_a_body_force_the_head_is_the_functional_s(setting, name: str) -> None:
     """To first order in the force, as the functional's ghosts give way to their heads."""
-    here = setting(name)
+    here = setting(name, wall_kind="adjoint")
     zero, rest = np.zeros_like(here.q), np.zeros((2, here.q.size))
     force = 1e-4
     either = [here.functional(zero, rest, 0.0, sign * force)[1:] for sign in (1.0, -1.0)]

@@ -165,14 +165,16 @@ def test_drag_of_a_hexagonal_array() -> None:
     ],
 )
 def test_flow_past_corners(corners: list, flow_rate: float) -> None:
-    """Against `scripts/finite_elements.py polygon`; measured, 0.1 and 0.8 % of the flow rate.
+    """Against `scripts/finite_elements.py polygon`; measured, 1.0 and 1.9 % of the flow rate.
 
-    If ghosts took velocities from their distance alone, it would be 8.4 and 17 % too large.
+    The depth of ghosts behind corners is that for moving particles, some of which come so near to
+    walls that they feel more friction. If ghosts took velocities from their distance alone, it
+    would be 8.4 and 17 % too large.
     """
     solids = (("solid", shapely.Polygon(corners)),)
     domain = PolygonDomain((0.0, 0.0), (3.0, 3.0), (True, False), solids)
     flow = steady_flow(domain, 0.125, force=(1.0, 0.0))
-    assert flow.velocity[0].sum() * 0.125**2 / 3.0 == pytest.approx(flow_rate, rel=0.01)
+    assert flow.velocity[0].sum() * 0.125**2 / 3.0 == pytest.approx(flow_rate, rel=0.025)
 
 
 INNER, OUTER = 0.5, 1.0

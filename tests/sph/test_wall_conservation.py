@@ -103,20 +103,24 @@ def test_volumes_keep_filling_the_domain(scenes: dict, name: str, kind: str) -> 
     assert changes[False] > 1e-4
 
 
+ADJOINT = {"wall_kind": "adjoint"}
+
+
 @pytest.mark.parametrize(
     ("name", "options", "supports"),
     [
-        ("lid", {**BARE, "viscosity": "pair"}, 1),
-        ("forced cavity", {**BARE, "viscosity": "pair"}, 1),
-        ("lid", BARE, 2),
-        ("lid", {"acoustic_damping": 1.0}, 2),
+        ("lid", {**BARE, "viscosity": "pair"}, 2),
+        ("lid", {**ADJOINT, **BARE, "viscosity": "pair"}, 1),
+        ("forced cavity", {**ADJOINT, **BARE, "viscosity": "pair"}, 1),
+        ("lid", {**ADJOINT, **BARE}, 2),
+        ("lid", {**ADJOINT, "acoustic_damping": 1.0}, 2),
     ],
-    ids=["lid", "cavity", "normalised", "everything"],
+    ids=["mirrored", "lid", "cavity", "normalised", "everything"],
 )
 def test_far_from_walls_they_are_not_felt(
     scenes: dict, name: str, options: dict, supports: int
 ) -> None:
-    """Bitwise; neighbours' factors, damping and shifting may be those of particles at walls."""
+    """Bitwise; damping, shifting, fits and neighbours' factors may be those at walls."""
     scene = scenes[name]
     walled = scene.functional(1.5, **options)
     bare = Functional(FLUID, walled.discretization, scene.domain, body_force=scene.body_force)
@@ -183,7 +187,7 @@ def hydrostatic(n: int, gravity: float, **options) -> tuple[Functional, np.ndarr
     return Functional(fluid, discretization, box, walls, force), state
 
 
-@pytest.mark.parametrize("kind", ["adjoint", "normal"])
+@pytest.mark.parametrize("kind", ["mirrored", "adjoint", "normal"])
 def test_fluid_at_rest_stays_so_under_gravity(kind: str) -> None:
     """Measured over 0.5 s, in which free fall gives 0.5 m/s: speeds of 2.3e-4 m/s at most."""
     gravity = 1.0
@@ -201,7 +205,7 @@ def test_fluid_at_rest_stays_so_under_gravity(kind: str) -> None:
 
 def test_without_the_head_at_ghosts_gravity_pulls_fluid_through_the_floor() -> None:
     """Eq. 2.15's second term at work: what the floor carries at the start is the weight above."""
-    functional, state = hydrostatic(16, 1.0, **BARE)
+    functional, state = hydrostatic(16, 1.0, wall_kind="adjoint", **BARE)
     floor = state[1] < 1.0 / 16.0
     with_head = functional(state)[4, floor]
     force, functional.body_force = functional.body_force, None

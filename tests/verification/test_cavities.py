@@ -99,7 +99,7 @@ def as_printed() -> Run:
 
 
 def test_no_particle_comes_close_to_a_wall(driven: Run) -> None:
-    """Measured: none nearer than 0.27 spacings, where nothing moves on towards it at 0.25."""
+    """Measured: none nearer than 0.27 spacings, where nothing moves on towards it at 0.1."""
     assert np.isfinite(driven.state).all()
     assert driven.nearest.min() > 0.2
 
@@ -111,8 +111,8 @@ def test_nor_as_printed(as_printed: Run) -> None:
 
 
 def test_volumes_fill_the_cavity(driven: Run) -> None:
-    """What is left is the Runge-Kutta scheme's: measured, 1.06e-9 m2."""
-    assert np.max(np.abs(driven.volume - 1.0)) < 2.5e-9
+    """What is left is the Runge-Kutta scheme's: measured, 2.8e-9 m2."""
+    assert np.max(np.abs(driven.volume - 1.0)) < 5e-9
 
 
 def test_the_mean_pressure_does_not_drift(driven: Run) -> None:
@@ -148,10 +148,10 @@ def kicked() -> Run:
 
 
 def test_nothing_is_lost_in_the_kick(kicked: Run) -> None:
-    """Measured: at 0.25 spacings and never nearer; the volume to 3.6e-9 of itself."""
+    """Measured: at 0.099 spacings, where particles stop; the volume to 3.6e-9 of itself."""
     assert np.isfinite(kicked.state).all()
     assert kicked.functional.domain.contains(kicked.state[:2].T).all()
-    assert kicked.nearest.min() > 0.2
+    assert kicked.nearest.min() > 0.09
     assert np.max(np.abs(kicked.volume / 0.06 - 1.0)) < 8e-9
 
 

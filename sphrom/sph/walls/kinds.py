@@ -42,22 +42,23 @@ class WallKind:
 
 
 KINDS: Mapping[str, WallKind] = {
-    "adjoint": WallKind(
-        "rules:Adjoint",
-        "velocity extrapolated from each particle through the wall (Morris et al. 1997), and minus "
-        "the transpose of the pressure force in continuity",
-        at_fixed_points=True,
-        along_axes=False,
-    ),
     "mirrored": WallKind(
         "mirrored:Mirrored",
-        "the same, with the pressure of a linear fit around each ghost's mirror point in the fluid "
-        "(compare English et al. 2022)",
+        "pressure of a linear fit around each ghost's mirror point in the fluid (compare English "
+        "et al. 2022), velocity extrapolated from each particle through the wall (Morris et al. "
+        "1997), and minus the transpose of the pressure force in continuity",
         at_fixed_points=True,
         along_axes=False,
         below_surfaces=False,
-        wave_number=1.7,
-        viscous_limit=0.18,
+        wave_number=1.47,
+        viscous_limit=0.21,
+        stiffer_at_corners=0.15,
+    ),
+    "adjoint": WallKind(
+        "rules:Adjoint",
+        "velocity extrapolated, and minus the transpose of the pressure force in continuity",
+        at_fixed_points=True,
+        along_axes=False,
     ),
     "normal": WallKind(
         "rules:Normal",

@@ -3,7 +3,7 @@
 After Adami, Hu and Adams (J. Comput. Phys. 231, 2012). Ghosts fill the lattice beyond the fluid's
 domain to the depth of the kernel's reach. A ghost's pressure is interpolated from the fluid, with
 the weight of the fluid in between added. A rule decides their velocity and their share in the
-continuity equation; it may replace any other method of `WallRule`, too.
+continuity equation; it may replace any other method of `WallRule`, too, such as the interpolation.
 """
 
 from __future__ import annotations
@@ -176,8 +176,8 @@ class WallRule(ABC):
         They are distances from the fluid d, increased behind corners that jut into it. There
         friction is singular (Moffatt, J. Fluid Mech. 18, 1964), and particles a spacing apart
         resolve only part of it, so a solid acts as if it were smaller. The missing part has one
-        form for all flows past one angle, and one number compensates for it:
-        d (1 + 3 tan^2(turn / 2) W(r) / W(0)), r from the corner.
+        form for all flows past one angle, and one number c (`deeper_at_corners`) compensates for
+        it: d (1 + c tan^2(turn / 2) W(r) / W(0)), r from the corner.
         """
         depth = np.maximum(-domain.distance_and_normal(ghost)[0], 0.0)
         if cls.deeper_at_corners == 0.0:
@@ -218,7 +218,7 @@ class WallRule(ABC):
         weights, flux : (n_ghosts,) the sum of the kernel [1/m2]; the flux towards the ghost [1/s].
         """
 
-    def give_back(self, beside: WallTerms, out: Array) -> None:
+    def give_back(self, beside: WallTerms, out: Array) -> None:  # noqa: B027 - optional
         """Subtract the flux into walls from the divergence (n_particles,) [1/s] of the fluid.
 
         That is the work of rules that do not return it by the rows of ghosts.
@@ -226,10 +226,11 @@ class WallRule(ABC):
 
     def damp(self, beside: WallTerms, damping: Array) -> None:
         """Add the damper's pressure of the fluid's sources (n_sources,), over c0^2, to ghosts."""
-        ghost, weights = beside.ghost, beside.means[3]
-        place, search = ghost[:2], beside.search
+        ghost = beside.ghost
+        weights = beside.means[3]
         out = ghost[fields.PRESSURE]
-        ghost_fields.ghost_damping(place, beside.source, damping, weights, search, out)
+        source = beside.source
+        ghost_fields.ghost_damping(ghost[:2], source, damping, weights, beside.search, out)
 
     @classmethod
     def sums_at(
