@@ -14,7 +14,7 @@ pressure of the first sum, the balance of momentum determines b:
 That is the least residual of the balance that pressures of these modes leave. The products are
 those of the velocity. Like the rates, b is quadratic in a and affine in factors of the parameters.
 
-What then is missing in training runs may be added: as a ridge regression on a
+The remaining error is known in training runs. It may be added: by ridge regression on a
 (`sphrom.reduction.calibration`), or interpolated between the runs (`sphrom.reduction.correction`).
 `CANDIDATES` lists the combinations. Training runs that are held out from the modes psi and from
 all fits decide which of them a model uses.
@@ -46,8 +46,8 @@ CANDIDATES = (
     f"{BALANCE}-ridge",
     INTERPOLATED,
 )
-"""The candidates, from simple to complex: the pressure of the model's modes, the same with own
-modes from the balance of momentum, each with what training runs add, and own modes alone."""
+"""The candidates, from simple to complex: the pressure of the model's modes, the same with own modes
+from the balance of momentum, each with additions from training runs, and own modes alone."""
 WIDER = 3
 """Size of the space in which pressures are compared, over the number of own modes."""
 

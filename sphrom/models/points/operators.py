@@ -155,7 +155,7 @@ class _Projection:
     def _pressures(self) -> PressureSpace | None:
         """Return the modes of training pressures and their balance of momentum.
 
-        None with a single training run, which can't choose what to do with them, and in the
+        None with a single training run, which leaves none to choose a pressure by, and in the
         paper's inner product.
         """
         if len(self.trained) < 2 or self.basis.inner_product.name == "raw":
