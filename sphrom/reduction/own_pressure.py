@@ -46,8 +46,8 @@ CANDIDATES = (
     f"{BALANCE}-ridge",
     INTERPOLATED,
 )
-"""The candidates, from simple to complex: the pressure of the model's modes, the same with own modes
-from the balance of momentum, each with additions from training runs, and own modes alone."""
+"""The candidates, from simple to complex: the pressure of the model's modes, the same with own
+modes from the balance of momentum, each with additions from training runs, and own modes alone."""
 WIDER = 3
 """Size of the space in which pressures are compared, over the number of own modes."""
 
