@@ -45,7 +45,7 @@ from sphrom.kernels.jit import set_threads
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.models.reference.stored import read_basis, read_points
 from sphrom.reduction.correction import spline_weights
-from sphrom.reduction.trial_basis import project, reconstruct, truncate, weighted_mean
+from sphrom.reduction.trial_basis import TrialBasis, project, reconstruct, truncate, weighted_mean
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.store.trajectory import snapshot_fields
@@ -237,9 +237,9 @@ class Study:
         density, velocity = (np.array(each) for each in zip(*fields, strict=True))
         return Judge(density, velocity, self.basis.weights)
 
-    def fields(self, coordinates: Array) -> tuple[Array, Array]:
-        """Return density fluctuations and velocities of coordinates."""
-        return reconstruct(truncate(self.basis, coordinates.shape[1]), coordinates)
+    def fields(self, coordinates: Array, basis: TrialBasis | None = None) -> tuple[Array, Array]:
+        """Return density fluctuations and velocities of coordinates, by default of joint modes."""
+        return reconstruct(basis or truncate(self.basis, coordinates.shape[1]), coordinates)
 
     def projected(self, judge: Judge, n_modes: int) -> Array:
         """Return the best coordinates of a judge."""
@@ -255,6 +255,8 @@ class Prediction:
     offline: float
     online: float
     estimates: list[Errors] | None = None
+    basis: TrialBasis | None = None
+    """The modes of the coordinates, if there are pressure modes among them."""
 
 
 def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
@@ -272,24 +274,26 @@ def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
         reduced = fast.at(point)
         runs, taken = fast.at_point(point).integrator(reduced).timed(5)
         seconds.append(taken)
-        known = FastRun(**vars(runs), model=fast, point=point, reduced=reduced).estimate
-        if known is not None:
+        run = FastRun(**vars(runs), model=fast, point=point, reduced=reduced)
+        if (known := run.estimate) is not None:
             estimates.append((known.velocity_percent, known.pressure_percent))
         if point == study.inside:
             later = replace(reduced.output_times, n_snapshots=study.longer.n_snapshots)
             longer = fast.run(point, replace(reduced, output_times=later))
-            found.append((runs.coordinates, longer.coordinates))
+            found.append((run.states, longer.states))
         else:
-            found.append((runs.coordinates, None))
+            found.append((run.states, None))
     coordinates = [
         own if longer is None else np.concatenate((own, longer[len(own) :]))
         for own, longer in found
     ]
+    model = fast.at_point(study.inside)
     words = [f"{key}: {str(value).lower()}" for key, value in keys.items()]
     if n_modes == AUTO:
-        words.insert(0, f"n_modes: auto, {coordinates[0].shape[1]}")
+        words.insert(0, f"n_modes: auto, {model.basis.n_modes}")
     name = ", ".join(("sphrom", *words))
-    return Prediction(name, coordinates, offline, float(np.mean(seconds)), estimates)
+    online = float(np.mean(seconds))
+    return Prediction(name, coordinates, offline, online, estimates, model.whole)
 
 
 def interpolated(study: Study, training: Array, n_modes: int) -> Iterator[Prediction]:
@@ -370,7 +374,7 @@ def rows_of(study: Study, python: Path, n_modes: int) -> list[dict[str, Any]]:
             "estimate": ESTIMATES.get(found.name.split(",")[0], "no"),
         }
         for k, (label, judge) in enumerate(judges.items()):
-            own = study.fields(found.coordinates[k][inside])
+            own = study.fields(found.coordinates[k][inside], found.basis)
             row[label] = judge.errors(own, inside)
             if found.estimates:
                 row[f"{label}, estimated"] = found.estimates[k]
@@ -381,11 +385,11 @@ def rows_of(study: Study, python: Path, n_modes: int) -> list[dict[str, Any]]:
         }
         is_best = found is best
         row["other particles"] = other.errors(
-            study.fields((best_of["other"] if is_best else first)[inside]), inside
+            study.fields((best_of["other"] if is_best else first)[inside], found.basis), inside
         )
         whole = best_of["longer"] if is_best else first
         if len(whole) == study.longer.n_snapshots:
-            row["beyond"] = longer.errors(study.fields(whole), beyond)
+            row["beyond"] = longer.errors(study.fields(whole, found.basis), beyond)
         rows.append(row)
     return rows
 

@@ -195,7 +195,7 @@ class FittedEquations(FittedModel):
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:
                 self._measures[basis] = project_measures(
-                    reduced.basis, model.splines, fields.position, fields.of_fields
+                    reduced.basis, model.values, fields.position, fields.of_fields
                 )
         measures = {**reduced.measures, **self._measures[basis]}
         return replace(reduced.with_steps_of(self._stepped[basis]), measures=measures)
@@ -289,7 +289,8 @@ class FittedEquations(FittedModel):
             change = items(change, compared)
             if (fields := self.unnamed) is not None:
                 measure = self.reduced(points[k], name).measures[UNNAMED]
-                model_fields = measure.at(coordinates[compared], reduced.mean_density_fluctuation)
+                states = reduced.with_pressure(time, coordinates)[compared]
+                model_fields = measure.at(states, reduced.mean_density_fluctuation)
                 with workspace.open(workspace.full_run(points[k])) as run:
                     full_fields = [fields(*snapshot_fields(run, s))[UNNAMED] for s in compared]
                 change[UNNAMED] = {

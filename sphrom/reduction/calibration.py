@@ -53,16 +53,16 @@ class TrainingRun:
 
 
 class CorrectedRates(Record):
-    """A constant and a linear rate."""
+    """A constant and a linear function of the coordinates, such as rates."""
 
-    constant: Array = dataset("mode", "of the modes, /s", "constant rate", "c")
-    linear: Array = dataset("mode mode", "of the modes, /s", "linear rate", "A")
+    constant: Array = dataset("output", "of the outputs", "constant", "c")
+    linear: Array = dataset("output mode", "of the outputs", "linear part", "A")
 
     def tensors(self, energy: float | None) -> Tensors:
         """Return the rates; with `energy`, the constant is multiplied by energy |a|^2."""
         if energy is None:
             return self.constant, self.linear
-        quadratic = energy * self.constant[:, None, None] * np.eye(len(self.constant))
+        quadratic = energy * self.constant[:, None, None] * np.eye(self.linear.shape[1])
         return np.zeros_like(self.constant), self.linear, quadratic
 
 
@@ -114,8 +114,20 @@ def calibrate(
 
     Raises ValueError when a run has fewer than three snapshots.
     """
-    averages = [_averaged(run, interval, window) for run in runs]
-    coordinates, residuals = (np.concatenate(parts) for parts in zip(*averages, strict=True))
+    return fit(runs, [_averaged(run, interval, window) for run in runs], penalty)
+
+
+def fit(
+    runs: Sequence[TrainingRun], samples: Sequence[tuple[Array, Array]], penalty: float = PENALTY
+) -> Calibration:
+    """Fit a function of coordinates and parameters to samples of each run, by ridge regression.
+
+    Parameters
+    ----------
+    samples : coordinates (n_samples, n_modes) and values (n_samples, n_values) there.
+    penalty : lambda.
+    """
+    coordinates, residuals = (np.concatenate(parts) for parts in zip(*samples, strict=True))
     viscosities = np.array([run.kinematic_viscosity for run in runs])
     mean_viscosity = float(viscosities.mean())
     # A flow at rest determines the constant only.
@@ -131,7 +143,7 @@ def calibrate(
         values = np.array([run.factors[name] for run in runs])
         sizes[name] = mean, largest = float(values.mean()), float(np.abs(values).max()) or 1.0
         offsets.append((values - mean) / largest)
-    lengths = [len(part) for part, _ in averages]
+    lengths = [len(part) for part, _ in samples]
     parts = [features, *(np.repeat(o, lengths)[:, None] * features for o in offsets)]
     features = np.hstack(parts)
     gram = features.T @ features + penalty * len(features) * np.eye(features.shape[1])

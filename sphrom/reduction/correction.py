@@ -27,6 +27,7 @@ In a run that is longer than the training runs, the correction fades out before 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -199,6 +200,21 @@ def learn_correction(
     if not chosen.any():
         return None
     return Correction(places=places, defects=defects, lengths=chosen)
+
+
+def interpolated(
+    places: Array, defects: Array, groups: Sequence[Indices] = ()
+) -> Correction | None:
+    """Return the interpolation of defects, however poorly training runs predict each other's.
+
+    That of a single run is constant. Parameters: see `learn_correction`.
+    """
+    correction = learn_correction(places, defects, groups, worthwhile=math.inf)
+    if len(places) == 1 and np.isfinite(defects).all():
+        # A single run does not determine the correlation length.
+        lengths = np.full(defects.shape[2], UNLIMITED)
+        correction = Correction(places=places, defects=defects, lengths=lengths)
+    return correction
 
 
 def faded(correction: Array, n_snapshots: int) -> Array:

@@ -246,6 +246,18 @@ ALIKE = 1.03
 """Product of errors, over the least one, up to which fewer modes are as good."""
 
 
+def surrounded(places: Array) -> Indices:
+    """Return the numbers of places that the others surround; all of them if there is none.
+
+    Places are (n_places, n_parameters).
+    """
+    every = np.arange(len(places) if len(places) > 1 else 0)
+    others = (np.delete(places, k, axis=0) for k in every)
+    missed = [interpolation_weights(o, places[k])[1] for k, o in enumerate(others)]
+    inside = np.flatnonzero(np.array(missed) == 0.0)
+    return inside if len(inside) else np.arange(len(places))
+
+
 @dataclass(frozen=True)
 class TrainedSizes:
     """Training runs in all modes, and the data that determine their errors."""
@@ -266,11 +278,7 @@ class TrainedSizes:
     @cached_property
     def judged(self) -> Indices:
         """The runs that the others surround in the parameters; all runs if there is none."""
-        every = np.arange(len(self.places) if len(self.places) > 1 else 0)
-        others = (np.delete(self.places, k, axis=0) for k in every)
-        missed = [interpolation_weights(o, self.places[k])[1] for k, o in enumerate(others)]
-        inside = np.flatnonzero(np.array(missed) == 0.0)
-        return inside if len(inside) else np.arange(len(self.places))
+        return surrounded(self.places)
 
     def errors(self, n_modes: int, integrated: Array) -> Array:
         """Return the expected errors (2,) of predictions, relative to the fields' sizes.

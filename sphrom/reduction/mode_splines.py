@@ -7,6 +7,7 @@ B-splines on a lattice (`sphrom.reduction.spline`, `sphrom.reduction.lattice_spl
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +20,10 @@ CELL_WIDTH_RATIO = 3.0
 """Cell width over the spacing of points; each cell's system has 81 points. At 2 (36 points) the
 error of a cubic spline is six times larger and evaluation 1.5 times faster; at 4 (144 points) the
 error is three times smaller and evaluation 1.5 times slower."""
+
+
+Values = Callable[[Array], Array]
+"""Return the fields (n_positions, 3 n_modes) of modes at positions (n_positions, 2) [m]."""
 
 
 class ModeSplines(ABC):

@@ -20,6 +20,7 @@ from sphrom.arrays import Array
 from sphrom.reduction.forms import Part, PointFields, Sound, parts_of, rates_of, weighted
 from sphrom.reduction.mode_fields import BLOCK_VALUES, blocks, mode_fields, weighted_rows
 from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.own_pressure import PressureBalance
 from sphrom.reduction.reduced_operators import (
     ReducedOperators,
     ResidualFactor,
@@ -115,6 +116,44 @@ def residual_factor(
     reduced = np.asarray(values[kept, None] * directions[kept] / scale)
     by_part = zip(parts, np.split(reduced, np.cumsum(widths)[:-1], axis=1), strict=True)
     return ResidualFactor.of_parts(dict(by_part), points.drives, walls_driven=points.walls_driven)
+
+
+def project_pressure(
+    points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None, pressure_modes: Array
+) -> PressureBalance:
+    """Project the balance of momentum onto the gradients of pressure modes.
+
+    Parameters
+    ----------
+    splines : those of the basis; without them, gradients are sums over the points.
+    pressure_modes : q (n_pressure_modes, n_points) [m/s] without mean; the basis is acoustic.
+    """
+    own = np.ascontiguousarray(pressure_modes.T)
+    at_rest = np.zeros((2, *own.shape))
+    pushes = points.sound_speed * points.terms(own, at_rest).pressure_gradient
+    modes = mode_fields(basis, points)
+    weights = basis.weights[:, None]
+
+    def weigh(rows: slice) -> Array:
+        tests = (pushes[:, rows] * weights[rows]).transpose(2, 0, 1)
+        return np.concatenate((np.zeros_like(tests), tests), axis=1)
+
+    def products(fields: Array) -> Array:
+        return np.einsum("dnk,dnm->km", pushes * weights, fields, optimize=True)
+
+    states = PointFields.of_states(points, basis, splines)
+    sums = _weighted_sums(states, parts_of(points), weigh)
+    width = sums["inertia"].shape[1]
+    return PressureBalance(
+        parts={
+            name.replace("/", "."): np.pad(x, ((0, 0), (0, width - x.shape[1])))
+            for name, x in sums.items()
+        },
+        gradients=products(pushes),
+        rates=products(modes.velocity),
+        joint=(modes.scaled_density * weights).T @ own,
+        walls_driven=int(points.walls_driven),
+    )
 
 
 def _residual_columns(

@@ -37,7 +37,7 @@ from sphrom.declaration import Record, Tensors, dataset, part
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import FROM_FIELDS, stored
 from sphrom.reduction.affine import VISCOSITY, Affine, factor_of
-from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.mode_splines import Values
 from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOUS, WALLS, Polynomial
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fluid import NONE, Factors
@@ -258,24 +258,27 @@ class ReducedMeasure(Record):
 
         Parameters
         ----------
-        coordinates : (n_states, n_modes).
+        coordinates : (n_states, n_modes); those of the last modes may be left out.
         mean_density_fluctuation : (n_states,) or one for all [kg/m3].
         """
         n_states = len(coordinates)
         mean = np.broadcast_to(mean_density_fluctuation, n_states)
         terms = np.column_stack((np.ones(n_states), mean, coordinates))
-        return {name: np.tensordot(terms, q, (1, -1)) for name, q in self.quantities.items()}
+        return {
+            name: np.tensordot(terms, q[..., : terms.shape[1]], (1, -1))
+            for name, q in self.quantities.items()
+        }
 
 
 def project_measures(
-    basis: TrialBasis, splines: ModeSplines, position: Array, measured: Measuring
+    basis: TrialBasis, values: Values, position: Array, measured: Measuring
 ) -> dict[str, ReducedMeasure]:
-    """Project measurements onto a basis with splines.
+    """Project measurements onto a basis, given the values of its modes.
 
     `measured` must be affine in the fields at positions (n_positions, 2) [m].
     """
     product = basis.inner_product
-    modes = splines.values(position).reshape(len(position), -1, 3)
+    modes = values(position).reshape(len(position), -1, 3)
     fields = np.concatenate((np.zeros((2, *modes.shape[::2])), modes.swapaxes(0, 1)))
     density, velocity = fields[..., 0] / product.density_scale, fields[..., 1:]
     density[0] = product.density_fluctuation(density[0])

@@ -366,11 +366,8 @@ class ResidualFactor(_Parts):
 
         Its rows include the rates of the other modes; there are no more rows than columns.
         """
-        n_modes = operators.n_modes
-        first, second = np.triu_indices(n_modes)
-        products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
-        kept = np.concatenate(([0], 1 + modes, 1 + n_modes + products))
-        left_out = np.setdiff1d(np.arange(n_modes), modes)
+        kept = monomials_of(modes, operators.n_modes)
+        left_out = np.setdiff1d(np.arange(operators.n_modes), modes)
         parts = list[Array]()
         for name, columns in self.by_part.items():
             used = kept[: np.searchsorted(kept, columns.shape[1])]
@@ -417,6 +414,13 @@ def monomials(states: Array) -> Array:
     first, second = np.triu_indices(states.shape[1])
     ones = np.ones((len(states), 1))
     return np.concatenate((ones, states, states[:, first] * states[:, second]), axis=1)
+
+
+def monomials_of(modes: Indices, n_modes: int) -> Indices:
+    """Return the numbers of the monomials of some modes, in rising order, among those of all."""
+    first, second = np.triu_indices(n_modes)
+    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
+    return np.concatenate(([0], 1 + modes, 1 + n_modes + products))
 
 
 def residual_norm(

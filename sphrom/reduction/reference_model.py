@@ -25,7 +25,8 @@ from sphrom.metrics.measures import Quantities
 from sphrom.reduction import polynomial_model
 from sphrom.reduction.correction import faded
 from sphrom.reduction.exponential_steps import ExponentialModel, LinearPart
-from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure
+from sphrom.reduction.own_pressure import PointPressure
+from sphrom.reduction.reduced_measures import PointForce, ReducedMeasure, TimedLoads
 from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.trial_basis import JOINT, TrialBasis
 
@@ -65,13 +66,13 @@ class ReferenceModel:
     """Forces on walls, by name of the measurement."""
     measures: Mapping[str, ReducedMeasure] = field(default_factory=dict)
     """Flow rates and fields at places, by name of the measurement."""
+    pressure: PointPressure | None = None
+    """The coordinates of pressure modes; None if the pressure is that of the modes."""
 
     @cached_property
     def strongest(self) -> float:
         """The largest absolute amplitude of a run."""
-        if self.amplitude is None:
-            return 0.0
-        return float(np.abs(self.amplitude(self.output_times.time)).max())
+        return float(np.abs(self.amplitudes(self.output_times.time)).max())
 
     @cached_property
     def step_limit(self) -> float:
@@ -112,12 +113,33 @@ class ReferenceModel:
             leading = replace(leading, linear=other.leading.linear)
         return replace(self, linear=other.linear, leading=leading)
 
-    def measured(self, coordinates: Array, mean: Array | float) -> dict[str, Quantities]:
-        """Return measurements in the fluid by name, for coordinates (n_states, n_modes).
+    def amplitudes(self, time: Array) -> Array:
+        """Return the amplitude (n_times,) at times [s]."""
+        return np.zeros(len(time)) if self.amplitude is None else self.amplitude(time)
+
+    def with_pressure(self, time: Array, coordinates: Array) -> Array:
+        """Return coordinates (n_states, n_modes), then those of the model's own pressure modes.
+
+        `time` is (n_states,) [s].
+        """
+        if (pressure := self.pressure) is None:
+            return coordinates
+        own = pressure.polynomial.along(coordinates, self.amplitudes(time))
+        if (correction := pressure.correction) is not None:
+            times = self.output_times
+            share = np.ones((len(correction), 1))
+            known = faded(np.hstack((correction, share)), times.n_snapshots)
+            added = TimedLoads(times.time, known).at(time)
+            # Without what training runs add, the rest may be worse than no own modes.
+            own = added[:, -1:] * own + added[:, :-1]
+        return np.concatenate((coordinates, own), axis=1)
+
+    def measured(self, states: Array, mean: Array | float) -> dict[str, Quantities]:
+        """Return measurements in the fluid by name, for states from `with_pressure`.
 
         `mean` is the separate density fluctuation [kg/m3], (n_states,) or one for all.
         """
-        return {name: measure.at(coordinates, mean) for name, measure in self.measures.items()}
+        return {name: measure.at(states, mean) for name, measure in self.measures.items()}
 
     def spread(self, leading: Array) -> Array:
         """Return coordinates (..., n_modes) with the leading ones, and zero for the others."""

@@ -26,6 +26,7 @@ from sphrom.reduction.correction import PLACES, Correction
 from sphrom.reduction.error_calibration import ErrorCalibration
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.limit_cycles import CycleClosure, Harmonics, TrainedCycles
+from sphrom.reduction.own_pressure import OwnPressure
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import (
     MemoryOperators,
@@ -166,6 +167,17 @@ class TrainedBasis(Record):
     forces: Mapping[str, TrainedForce] = part(default_factory=dict)
     measures: Mapping[str, ReducedMeasure] = part(default_factory=dict)
     errors: TrainedErrors | None = part(default=None)
+    pressure: Mapping[str, OwnPressure] = part(default_factory=dict)
+    """The chosen candidate, by its name, if the model has pressure modes of its own."""
+    pressure_errors: Array | None = dataset(
+        "pressure_candidate run", "1",
+        "relative error of the pressure in each held-out training run, by candidate", default=None,
+    )  # fmt: skip
+
+    @property
+    def own_pressure(self) -> OwnPressure | None:
+        """The pressure modes that are the model's own, with their coordinates, if it has any."""
+        return next(iter(self.pressure.values()), None)
 
     def nearest(self, place: Array) -> int:
         """Return the number of the training run nearest to a place (n_parameters,)."""

@@ -163,6 +163,16 @@ def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
     return replace(basis, density_modes=density, velocity_modes=velocity)
 
 
+def with_pressures(basis: TrialBasis, modes: Array) -> TrialBasis:
+    """Return a basis with more modes, which have the first field (n_modes, n_points) alone."""
+    velocity = np.zeros((*modes.shape, 2))
+    return replace(
+        basis,
+        density_modes=np.concatenate((basis.density_modes, modes)),
+        velocity_modes=np.concatenate((basis.velocity_modes, velocity)),
+    )
+
+
 N_FIRST = 64
 """Number of points, those with the largest bounds, that are evaluated first."""
 N_BLOCK = 4096

@@ -40,8 +40,9 @@ BLOCK = 2**24
 """Numbers in a block of points in the projection of operators."""
 STATE_ARRAYS = 60
 """Numbers per particle that a run holds at once, sources and images included."""
-MODE_COPIES, SPLINE_COPIES = 3, 10
-"""Copies of the modes while operators are made, and the size of polyharmonic splines over theirs.
+MODE_COPIES, PRESSURE_COPIES, SPLINE_COPIES = 3, 10, 10
+"""Copies of the modes while operators are made, the size of pressure modes with their gradients and
+splines over that of the modes, and the size of polyharmonic splines over theirs.
 
 B-splines take one copy.
 """
@@ -111,7 +112,7 @@ def _operators(case: Case) -> float:
     """Return the size of a basis with copies and splines, sparse sums and tensors, in numbers."""
     plan = case.plan
     most = max(plan.basis_size(name) for name in plan.reference_bases)
-    copies = MODE_COPIES + (1 if plan.lattice_splines else SPLINE_COPIES)
+    copies = MODE_COPIES + PRESSURE_COPIES + (1 if plan.lattice_splines else SPLINE_COPIES)
     sparse = SPARSE_NUMBERS * plan.discretization.n_neighbours * plan.n_particles
     tensors = [n**4 for _, n in plan.memory_models]
     for name in filter(plan.has_error_estimate, plan.reference_bases):

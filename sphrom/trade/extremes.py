@@ -327,7 +327,7 @@ class Maps:
         if basis not in self._modes:
             self._modes[basis] = GridModes(basis, self.grid)
         modes = self._modes[basis]
-        samples = modes.samples(run.coordinates[truth.snapshots])
+        samples = modes.samples(run.states[truth.snapshots])
         return compared(row, samples, truth.samples, modes.nearest(truth.samples))
 
     def integrated(

@@ -95,7 +95,7 @@ class GridModes:
     """The modes of a model at the points where runs are compared."""
 
     def __init__(self, basis: BasisModel, grid: Array) -> None:
-        self._values = basis.splines.values(grid).reshape(len(grid), -1, 3)
+        self._values = basis.values(grid).reshape(len(grid), -1, 3)
         self._product = basis.basis.inner_product
         self._sound_speed = basis.workspace.case.plan.sound_speed
         # Pressures are compared without their means.
@@ -104,7 +104,7 @@ class GridModes:
         self._inverse = np.linalg.pinv(np.hstack((columns, constant)))[:-1]
 
     def samples(self, coordinates: Array) -> Samples:
-        """Return the fields of coordinates (n_snapshots, n_modes), with placeholder times."""
+        """Return the fields of states (n_snapshots, n_modes), with placeholder times."""
         fields = np.tensordot(coordinates, self._values, (1, 1))
         density = self._product.density_fluctuation(fields[..., 0])
         times = np.arange(len(fields), dtype=np.float64)

@@ -208,7 +208,8 @@ class StageModel:
         The errors (2,) [%] of the model's run are infinite if it diverged. Those of the basis are
         of the best approximation; with `approximation`, only these are computed.
         """
-        basis = self._fast.at_point(point).basis
+        model = self._fast.at_point(point)
+        basis = model.basis
         run = None if approximation else self._run(point)
         error, floor, size = np.zeros((3, 2))
         with self.workspace.open(self.workspace.mapped(point)) as mapped:
@@ -225,7 +226,7 @@ class StageModel:
                 floor += _squares(basis, _fields(basis, best[0], best[1]), fields)
                 if run is not None:
                     mean = np.full(len(density), run.reduced.mean_density_fluctuation)
-                    state = reconstruct(basis, run.coordinates[block], mean)
+                    state = reconstruct(model.whole, run.states[block], mean)
                     error += _squares(basis, _fields(basis, state[0], state[1]), fields)
         return NONE if run is None else _percent(error, size), _percent(floor, size)
 

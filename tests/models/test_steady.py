@@ -28,7 +28,7 @@ def polynomial(constant: float) -> Polynomial:
 def sought(
     rates: Polynomial,
     start: float,
-    amplitude: float | None = None,
+    amplitude: float = 0.0,
     *,
     trained: np.ndarray = NEAR,
     estimated: SteadyErrors | None = None,
@@ -38,7 +38,7 @@ def sought(
     artifact, reporter, model = Mock(spec=ArtifactWriter), Mock(spec=Reporter), Mock()
     model.workspace.context.report = reporter
     model.section.name, model.at_point.return_value.states = "x", trained
-    driven = None if amplitude is None else lambda times: np.full(len(times), amplitude)
+    driven = lambda times: np.full(len(times), amplitude)  # noqa: E731
     run = FastRun(
         time=np.array([0.0, 1.0]),
         coordinates=np.array([[0.0], [start]]),
@@ -46,7 +46,7 @@ def sought(
         diverged_at=np.nan,
         model=model,
         point=Mock(label="here"),
-        reduced=Mock(polynomial=rates, amplitude=driven),
+        reduced=Mock(polynomial=rates, amplitudes=driven),
     )
     quantities = "sphrom.models.points.fast_model.quantities_of"
     with (

@@ -139,7 +139,8 @@ def test_training_runs_tell_the_errors_of_what_is_measured(folder):
     for row, (k, reduced, run) in enumerate(basis.held_out()):
         with fast.workspace.open(fast.workspace.full_run(basis.points[k])) as full:
             recorded = measured_of(study.case, full)
-        given = reduced.measured(run, reduced.mean_density_fluctuation)
+        states = reduced.with_pressure(reduced.output_times.time, run)
+        given = reduced.measured(states, reduced.mean_density_fluctuation)
         for name, quantities in given.items():
             for quantity, values in quantities.items():
                 expected = recorded[name][quantity] - values

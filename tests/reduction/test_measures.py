@@ -27,7 +27,7 @@ def weighed(density: np.ndarray, velocity: np.ndarray) -> dict[str, Quantities]:
 @pytest.mark.parametrize("name", NAMES)
 def test_what_is_measured_is_that_of_the_fields(settings, name: str) -> None:
     setting = settings[name]
-    measures = project_measures(setting.basis, setting.splines, setting.position, weighed)
+    measures = project_measures(setting.basis, setting.splines.values, setting.position, weighed)
     states = np.outer((1.0, 0.3), setting.coordinates)
     for each in ("line", "flux"):
         found = measures[each].at(states, MEAN)

@@ -14,6 +14,7 @@ from sphrom.declaration import Record, attribute, dataset, labelled, part
 from sphrom.metrics.quantities import FROM_FIELDS, stored
 from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, UnheldShares
 from sphrom.reduction.mode_splines import CellSplines, LatticeCoefficients
+from sphrom.reduction.own_pressure import PressureSpace
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators, ResidualFactor
 from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph
@@ -124,6 +125,7 @@ class BasisOperators(Record):
     memory: Mapping[str, MemoryOperators] = part()
     wall_force: Mapping[str, WallForce] = part(default_factory=dict)
     measure: Mapping[str, TrainedMeasure] = part(default_factory=dict)
+    pressure: PressureSpace | None = part(default=None)
     skewness: float = attribute("1", "asymmetry of the acoustic part; zero if it is skew")
 
 
@@ -137,11 +139,19 @@ class Starts(Record):
     velocity: Array = dataset("start particle component", "m/s", "velocity", "u", "Eq. 3.15")
 
 
+class PressureSplines(Record):
+    """Splines of pressure modes, of one of two kinds."""
+
+    cells: CellSplines | None = part(at="", default=None)
+    lattice: LatticeCoefficients | None = part(at="", default=None)
+
+
 class Operators(Record, kind="sphrom/operators"):
     """Right-hand side on the reference points, projected onto each basis."""
 
     bases: Mapping[str, BasisOperators] = part()
     starts: Starts | None = part(default=None)
+    pressure_splines: Mapping[str, PressureSplines] = part(default_factory=dict)
     walls_driven: int = attribute("", "1 if the amplitude is that of the walls' speed, else 0")
 
 

@@ -343,6 +343,13 @@ class Coordinates(Recorded, Timed, Simulated, kind="sphrom/coordinates"):
     generalized_coordinates: Array = dataset(
         "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
     )
+    pressure_coordinates: Array | None = dataset(
+        "snapshot own_mode",
+        "of the inner product",
+        "coordinates in the pressure modes that are the model's own",
+        "b",
+        default=None,
+    )
     correction: Array | None = dataset(
         "snapshot mode",
         "of the inner product",

@@ -20,7 +20,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities, Samples, with_coefficients
 from sphrom.models.points.stored import Fields, snapshot_times
-from sphrom.models.reference.stored import expand
+from sphrom.models.reference.stored import expand, read_values
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import (
     LocalErrorCalibration,
@@ -28,6 +28,7 @@ from sphrom.reduction.error_calibration import (
     output_errors,
 )
 from sphrom.reduction.limit_cycles import CycleClosure
+from sphrom.reduction.own_pressure import PointPressure
 from sphrom.reduction.reduced_measures import PointForce, TimedLoads
 from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
@@ -37,6 +38,7 @@ from sphrom.reduction.trial_basis import (
     mean_density_fluctuation,
     project,
     truncate,
+    with_pressures,
 )
 from sphrom.setup.assembly import (
     amplitude_of,
@@ -49,7 +51,8 @@ from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
-    from sphrom.reduction.mode_splines import ModeSplines
+    from sphrom.reduction.correction import Correction
+    from sphrom.reduction.mode_splines import Values
 
 Start = Callable[[ParameterPoint], Fields]
 """The fields on the reference points at the start of a run at a parameter point."""
@@ -75,7 +78,7 @@ class BasisModel:
         trained: TrainedBasis,
         basis: TrialBasis,
         start: Start,
-        splines: Callable[[], ModeSplines],
+        values: Callable[[], Values] | None = None,
     ) -> None:
         self.workspace = workspace
         self.section = section
@@ -85,7 +88,7 @@ class BasisModel:
         self.points = workspace.case.plan.bases[name]
         self.n_integrated = trained.rates.get(LEADING, trained.rates[ALL_MODES]).operators.n_modes
         self._start = start
-        self._read_splines = splines
+        self._read_values = values
         self.problem: CaseError | None = None
         self._last: Fields | None = None
         self._placed: tuple[ParameterPoint, Array] | None = None
@@ -114,19 +117,27 @@ class BasisModel:
         return isinstance(closure, CycleClosure) and closure.slowest() >= 1.0
 
     @cached_property
-    def splines(self) -> ModeSplines:
-        """The splines of the model's modes."""
-        return self._read_splines()
+    def values(self) -> Values:
+        """The values of the modes of `whole`, by splines."""
+        if self._read_values is not None:
+            return self._read_values()
+        own = self.trained.own_pressure is not None
+        return read_values(self.workspace, self.name, self.basis.n_modes, own_pressure=own)
 
-    def sampled(self, points: Array, time: Array, coordinates: Array, mean: float) -> Samples:
-        """Return velocity and pressure at points (n_points, 2) for coordinates (n_times, n_modes).
+    @cached_property
+    def whole(self) -> TrialBasis:
+        """The model's modes, and then its own pressure modes."""
+        if (own := self.trained.own_pressure) is None:
+            return self.basis
+        return with_pressures(self.basis, own.modes)
+
+    def sampled(self, points: Array, time: Array, states: Array, mean: float) -> Samples:
+        """Return velocity and pressure at points (n_points, 2) for states of `whole`.
 
         `mean` is the separate density fluctuation [kg/m3].
         """
         means = np.full(len(time), mean)
-        return expand(
-            self.workspace.case, self.basis, self.splines, points, time, coordinates, means
-        )
+        return expand(self.workspace.case, self.basis, self.values, points, time, states, means)
 
     def integrator(self, reduced: ReferenceModel) -> Integrator:
         """Return the time steps of the model as the case sets them; exponential ones by default.
@@ -192,7 +203,6 @@ class BasisModel:
             mean_density_fluctuation=mean,
             amplitude=amplitude_of(case, point),
             longest_step=case.plan.longest_step(point),
-            measures=self.trained.measures if modes == ALL_MODES else {},
         )
         length = None
         if rates.memory is not None:
@@ -225,12 +235,26 @@ class BasisModel:
         place = self.place(point)
         times = snapshot_times(self.workspace.case)
         added = {
-            name: TimedLoads.of(times, each.held_out(place) if held_out else each.at(place))
+            name: TimedLoads.of(times, loads)
             for name, force in self.trained.forces.items()
-            if (each := force.correction) is not None
+            if (loads := _learnt(force.correction, place, held_out)) is not None
         }
         forces = {name: self.force_at(name, point, added.get(name)) for name in self.trained.forces}
-        return replace(model, correction=self.added(point, held_out), forces=forces)
+        pressure = None
+        if (own := self.trained.own_pressure) is not None:
+            viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+            pressure = PointPressure(
+                own.at(model.polynomial, viscosity, point.factors),
+                correction=_learnt(own.correction, place, held_out),
+            )
+        correction = self.added(point, held_out)
+        return replace(
+            model,
+            correction=correction,
+            forces=forces,
+            measures=self.trained.measures,
+            pressure=pressure,
+        )
 
     def force_at(
         self, name: str, point: ParameterPoint, correction: TimedLoads | None = None
@@ -255,11 +279,9 @@ class BasisModel:
 
     def added(self, point: ParameterPoint, held_out: bool = False) -> Array | None:
         """Return the correction (n_trained_snapshots, n_modes) of coordinates, if there is one."""
-        if (correction := self.trained.correction) is not None:
-            place = self.place(point)
-            return correction.held_out(place) if held_out else correction.at(place)
-        if LEADING not in self.trained.rates:
-            return None
+        added = _learnt(self.trained.correction, self.place(point), held_out)
+        if added is not None or LEADING not in self.trained.rates:
+            return added
         return np.zeros((self.workspace.case.plan.steps.n_snapshots, self.basis.n_modes))
 
     def held_out(self) -> list[tuple[int, ReferenceModel, Array]]:
@@ -314,10 +336,17 @@ class BasisModel:
             errors.factor,
             self.workspace.case.plan.kinematic_viscosity(point),
             coordinates,
-            amplitude=None if reduced.amplitude is None else reduced.amplitude(times),
+            amplitude=reduced.amplitudes(times),
             factors=point.factors,
             closure=reduced.closure,
         )
+
+
+def _learnt(correction: Correction | None, place: Array, held_out: bool) -> Array | None:
+    """Return a correction at a place; for a training run, from the other runs only."""
+    if correction is None:
+        return None
+    return correction.held_out(place) if held_out else correction.at(place)
 
 
 def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
@@ -353,9 +382,9 @@ def forces_of(
     mean : separate density fluctuation [kg/m3], (n_states,) or one; by default the model's own.
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
-    amplitude = np.zeros(len(time)) if reduced.amplitude is None else reduced.amplitude(time)
     if not reduced.forces:
         return {}
+    amplitude = reduced.amplitudes(time)
     rates = reduced.polynomial.along(coordinates, amplitude)
     states = time, coordinates, rates, amplitude, mean
     return {name: force.at(*states) for name, force in reduced.forces.items()}
@@ -372,6 +401,7 @@ def quantities_of(
     mean = reduced.mean_density_fluctuation if mean is None else mean
     forces = forces_of(reduced, time, coordinates, mean)
     measured = {name: totals(loads) for name, loads in forces.items()}
-    measured |= reduced.measured(coordinates, mean)
+    if reduced.measures:
+        measured |= reduced.measured(reduced.with_pressure(time, coordinates), mean)
     ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
     return with_coefficients(ordered, case.plan.coefficients)

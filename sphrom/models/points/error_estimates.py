@@ -126,7 +126,7 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
         return None
     residual = residual_of(run, run.time, run.coordinates)
     errors = fitted.errors(run.time, residual, run.coordinates)
-    sizes = trained.products.sizes(run.coordinates)
+    sizes = trained.products.sizes(run.states)
     squares = np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)
     velocity_percent, pressure_percent = (100.0 * np.sqrt(squares)).tolist()
     velocity, pressure = (errors * trained.units).T
@@ -205,7 +205,8 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
     change = fitted.changes(run.coordinates)[-1]
     later = float(np.linalg.norm(state - run.coordinates[-1]))
     errors = fitted.steady_errors(residual, change, later)
-    relative = errors / trained.products.sizes(state[None])[0]
+    at_end = run.reduced.with_pressure(run.time[-1:], state[None])
+    relative = errors / trained.products.sizes(at_end)[0]
     distance = distance_from(fitted.expected, state)
     return SteadyErrors(residual, errors * trained.units, relative, distance)
 

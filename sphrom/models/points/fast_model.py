@@ -31,7 +31,7 @@ from sphrom.models.points.error_estimates import (
     measured_sizes,
 )
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
-from sphrom.models.reference.stored import read_modes
+from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
@@ -41,7 +41,7 @@ from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
     from sphrom.models.points.sensitivities import Tangents
-    from sphrom.reduction.mode_splines import ModeSplines
+    from sphrom.reduction.mode_splines import Values
 
 DOUBTFUL = 50.0
 """Estimated error from which a run is doubtful [%]; errors are up to twice their estimates."""
@@ -92,17 +92,20 @@ class FastModel(Model[ReferenceModel]):
         )
         section = self.section.model_copy(update={"n_modes": basis.n_modes})
 
-        def splines() -> ModeSplines:
-            if not self._is_alone:
-                return read_modes(self.workspace, name, basis.n_modes)[1]
+        def values() -> Values:
             from sphrom.models.reference.splines import fit  # few programs need it
+            from sphrom.reduction.mode_splines import basis_columns
 
             points = stored.reference_position
             report = self.workspace.context.report
-            return fit(case, points, basis, name, report)
+            found = fit(case, points, basis_columns(basis), f"basis {name}", report).values
+            if (own := trained.own_pressure) is None:
+                return found
+            return both(found, fit(case, points, own.modes.T, f"pressure {name}", report).values)
 
         start = self._starts.at
-        return BasisModel(self.workspace, section, name, trained, basis, start, splines)
+        alone = values if self._is_alone else None
+        return BasisModel(self.workspace, section, name, trained, basis, start, alone)
 
     def at_point(self, point: ParameterPoint) -> BasisModel:
         """Return the model with its basis at a parameter point."""
@@ -208,6 +211,11 @@ class FastRun(ModelRun):
             f"largest trained ones; {'other modes' if chosen else 'a smaller time step'} may help"
         )
 
+    @cached_property
+    def states(self) -> Array:
+        """(n_snapshots, n) coordinates, then those of own pressure modes, if there are any."""
+        return self.reduced.with_pressure(self.time, self.coordinates)
+
     @property
     def kinetic_energy(self) -> Array:
         """The kinetic energy (n_snapshots,) [J/m]."""
@@ -277,4 +285,4 @@ class FastRun(ModelRun):
     def sampled(self, points: Array) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], by the splines of the modes."""
         mean = self.reduced.mean_density_fluctuation
-        return self.model.at_point(self.point).sampled(points, self.time, self.coordinates, mean)
+        return self.model.at_point(self.point).sampled(points, self.time, self.states, mean)

@@ -34,7 +34,14 @@ from sphrom.models.points.stored import (
     starts_record,
     training_runs,
 )
-from sphrom.models.reference.stored import mapped_runs, read_basis, read_points, read_splines
+from sphrom.models.reference.splines import fit
+from sphrom.models.reference.stored import (
+    both,
+    mapped_runs,
+    read_basis,
+    read_points,
+    read_splines,
+)
 from sphrom.plots.tables import format_figure
 from sphrom.reduction import held_out, reference_model, trial_basis
 from sphrom.reduction.decomposition import N_FIELD_VALUES
@@ -42,7 +49,13 @@ from sphrom.reduction.error_calibration import LEFT_OUT, compared_snapshots
 from sphrom.reduction.force_projection import project_forces
 from sphrom.reduction.memory_projection import project_memory
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
-from sphrom.reduction.operator_projection import project_operators, residual_factor
+from sphrom.reduction.mode_splines import Values
+from sphrom.reduction.operator_projection import (
+    project_operators,
+    project_pressure,
+    residual_factor,
+)
+from sphrom.reduction.own_pressure import WIDER, PressureSpace, pressure_modes
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import (
@@ -53,7 +66,7 @@ from sphrom.reduction.reduced_operators import (
 )
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.stokes_fields import stokes_fields
-from sphrom.reduction.trial_basis import truncate
+from sphrom.reduction.trial_basis import truncate, with_pressures
 from sphrom.setup import particles
 from sphrom.setup.assembly import amplitude_of, output_times_of, scaled_parameters, sound_averages
 from sphrom.setup.particles import MeasuredFields
@@ -78,6 +91,8 @@ def project(workspace: Workspace) -> None:
         for name in workspace.case.plan.reference_bases:
             projection = _Projection(workspace, points, name)
             write_record(artifact, projection.stored(artifact), f"bases/{name}")
+            if projection.pressure_splines is not None:
+                write_record(artifact, projection.pressure_splines, f"pressure_splines/{name}")
         write_record(artifact, starts_record(workspace), "starts")
         artifact.annotate("timing/projection", time.perf_counter() - started)
 
@@ -95,6 +110,15 @@ class _Projection:
         with self.report.progress(f"operators, basis {name}", points.n_points) as advance:
             self.operators = project_operators(points, self.basis, self.splines, advance=advance)
         self.compared = compared_snapshots(self.case.plan.steps.n_snapshots)
+        self.whole = self.basis
+        self.pressure_splines = None
+        self.pressures = self._pressures()
+        if self.pressures is not None:
+            self.whole = with_pressures(self.basis, self.pressures.modes)
+            columns = np.ascontiguousarray(self.pressures.modes.T)
+            self.pressure_splines = fit(
+                self.case, points.position, columns, f"pressure {name}", self.report
+            )
 
     def stored(self, artifact: ArtifactWriter) -> BasisOperators:
         """Project everything, report it, and return the record to store; time the parts."""
@@ -120,12 +144,47 @@ class _Projection:
             memory=closures,
             wall_force=self._wall_forces(),
             measure=self._measures(),
+            pressure=self.pressures,
             skewness=self.operators.skewness,
         )
         self._report_operators()
         if chosen is not None:
             self._report_choice(chosen)
         return stored
+
+    def _pressures(self) -> PressureSpace | None:
+        """Return the modes of training pressures and their balance of momentum.
+
+        None with a single training run, which leaves none to choose a pressure by, and in the
+        paper's inner product.
+        """
+        if len(self.trained) < 2 or self.basis.inner_product.name == "raw":
+            return None
+        runs = mapped_runs(self.workspace, self.name)
+        some = (self._pressure_of(densities[list(self.compared)]) for _, densities, _ in runs)
+        weights = self.basis.weights
+        modes = pressure_modes(some, weights, WIDER * self.basis.n_modes)
+        if not len(modes):
+            return None
+        balance = project_pressure(self.points, self.basis, self.splines, modes)
+        coordinates, squares = [], []
+        for _, densities, _ in mapped_runs(self.workspace, self.name):
+            for first in range(0, len(densities), N_AT_ONCE):
+                pressures = self._pressure_of(densities[first : first + N_AT_ONCE])
+                coordinates.append((pressures * weights) @ modes.T)
+                squares.append(pressures**2 @ weights)
+        shape = len(self.trained), -1
+        return PressureSpace(
+            **vars(balance),
+            modes=modes[: self.basis.n_modes],
+            coordinates=np.concatenate(coordinates).reshape(*shape, len(modes)),
+            squares=np.concatenate(squares).reshape(shape),
+        )
+
+    def _pressure_of(self, densities: Array) -> Array:
+        """Return the pressure less its mean, q (n_snapshots, n_points) [m/s]."""
+        means = trial_basis.weighted_mean(densities, self.basis.weights)
+        return self.points.density_scale * (densities - means[:, None])
 
     def _closures(self, artifact: ArtifactWriter) -> dict[str, MemoryOperators]:
         """Project the term of the closure, for every number of modes of a model that uses it."""
@@ -228,7 +287,10 @@ class _Projection:
         for point in self.trained:
             with self.workspace.open(self.workspace.full_run(point)) as run:
                 recorded.append(measured_of(self.case, run))
-        projected = project_measures(self.basis, self.splines, fields.position, fields.of_fields)
+        values: Values = self.splines.values
+        if (own := self.pressure_splines) is not None:
+            values = both(values, own.values)
+        projected = project_measures(self.basis, values, fields.position, fields.of_fields)
         return {
             name: TrainedMeasure(
                 quantities=measure.quantities,
@@ -266,7 +328,7 @@ class _Projection:
 
     def _estimate(self) -> Estimate:
         """Return products of training snapshots with the basis, and the start of each run."""
-        projections_of = FieldProjections(self.basis, mode_fields(self.basis, self.points))
+        projections_of = FieldProjections(self.whole, mode_fields(self.whole, self.points))
         starts, projections, squares = [], [], []
         for _, densities, velocities in mapped_runs(self.workspace, self.name):
             starts.append(trial_basis.project(self.basis, densities[0], velocities[0]))
@@ -319,7 +381,8 @@ class _Projection:
         if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
             return None
         places = scaled_parameters(self.case, self.trained)
-        sizes = held_out.TrainedSizes(places, runs, products=estimate, compared=self.compared)
+        joint = estimate.only(np.arange(runs.shape[2]), self.whole.n_modes)
+        sizes = held_out.TrainedSizes(places, runs, products=joint, compared=self.compared)
         repeated = [self._repeated(runs, n + 1) for n in range(sizes.largest)]
         integrated, error = held_out.choose_integrated(sizes, repeated)
         return HeldOut(integrated=integrated, error=error)

@@ -31,14 +31,14 @@ from sphrom.models.points.error_estimates import (
     steady_errors,
 )
 from sphrom.models.points.fast_model import FastModel, FastRun
-from sphrom.models.reference.stored import expand, read_basis, read_modes, read_points
+from sphrom.models.reference.stored import expand, read_basis, read_points, read_values
 from sphrom.models.stable_ranges import against
 from sphrom.models.stored_run import ComputedRun
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
 from sphrom.reduction.reduced_operators import largest_growth
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
-from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate, with_pressures
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.fluid import pressure_of
@@ -57,9 +57,7 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
     report = run.model.workspace.context.report
     model = run.model.at_point(run.point)
     polynomial = run.reduced.polynomial
-    amplitude = 0.0
-    if run.reduced.amplitude is not None:
-        amplitude = float(run.reduced.amplitude(run.time)[-1])
+    amplitude = float(run.reduced.amplitudes(run.time)[-1])
     seek = partial(steady_state, polynomial, run.coordinates[-1], amplitude=amplitude)
     found = seek()
     seconds = min(seconds_of(seek) for _ in range(N_TIMED))
@@ -192,6 +190,8 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     section = run.model.at_point(run.point).section
     artifact.write("time", done.time)
     artifact.write("generalized_coordinates", done.coordinates)
+    if reduced.pressure is not None:
+        artifact.write("pressure_coordinates", done.states[:, reduced.basis.n_modes :])
     if done.correction is not None:
         artifact.write("correction", done.correction)
         artifact.annotate("integrated_modes", reduced.n_integrated)
@@ -203,7 +203,7 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     growth = largest_growth(reduced.polynomial.jacobian(reduced.start))
     artifact.annotate("largest_real_part", growth)
     mean = reduced.mean_density_fluctuation
-    datasets = field_datasets(reduced.measured(done.coordinates, mean))
+    datasets = field_datasets(reduced.measured(done.states, mean))
     for name, loads in forces_of(reduced, done.time, done.coordinates).items():
         datasets |= force_datasets(name, loads)
     write_positions(artifact, field_measures(workspace.case))
@@ -216,6 +216,7 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
 def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
     """Reconstruct and write the fields of all snapshots, one at a time."""
     workspace = run.model.workspace
+    whole = run.model.at_point(run.point).whole
     mean = run.reduced.mean_density_fluctuation
     points = read_points(workspace)
     n_snapshots = len(run.time)
@@ -223,8 +224,8 @@ def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
     densities = artifact.stream("density_fluctuation", points.shape[:1], n_snapshots)
     velocities = artifact.stream("velocity", points.shape, n_snapshots)
     pressures = artifact.stream("pressure", points.shape[:1], n_snapshots)
-    for state in run.coordinates:
-        density, velocity = reconstruct(run.reduced.basis, state, mean)
+    for state in run.states:
+        density, velocity = reconstruct(whole, state, mean)
         densities.append(density)
         velocities.append(velocity)
         pressures.append(pressure_of(density, workspace.case.plan.sound_speed))
@@ -240,7 +241,21 @@ class CoordinateRun(ComputedRun):
     @cached_property
     def _basis(self) -> TrialBasis:
         name, n_modes = self._used
-        return truncate(read_basis(self._workspace, name), n_modes)
+        basis = truncate(read_basis(self._workspace, name), n_modes)
+        if not self._owns_pressure:
+            return basis
+        with self._workspace.open(self._workspace.operators()) as artifact:
+            return with_pressures(basis, artifact.read(f"bases/{name}/pressure/modes"))
+
+    @property
+    def _owns_pressure(self) -> bool:
+        return "pressure_coordinates" in self._run
+
+    @cached_property
+    def _states(self) -> Array:
+        if not self._owns_pressure:
+            return self.coordinates
+        return np.hstack((self.coordinates, self._run.read("pressure_coordinates")))
 
     def position(self, snapshot: int) -> Array:
         """Return the reference points (n, 2) [m]."""
@@ -249,7 +264,7 @@ class CoordinateRun(ComputedRun):
     def state(self, snapshot: int) -> tuple[Array, Array]:
         """Return density fluctuation (n,) [kg/m3] and velocity (n, 2) [m/s] at these points."""
         mean = self._run.number("mean_density_fluctuation")
-        return reconstruct(self._basis, self.coordinates[snapshot], mean)
+        return reconstruct(self._basis, self._states[snapshot], mean)
 
     def sampled(
         self,
@@ -259,8 +274,9 @@ class CoordinateRun(ComputedRun):
     ) -> Samples:
         """Return velocity and pressure at points (n_points, 2) [m], at some or all snapshots."""
         chosen = range(len(self.time)) if snapshots is None else snapshots
-        basis, splines = read_modes(self._workspace, *self._used)
+        own = self._owns_pressure
+        values = read_values(self._workspace, *self._used, own_pressure=own)
         means = np.full(len(chosen), self._run.number("mean_density_fluctuation"))
         case = self._workspace.case
-        coordinates = self.coordinates[chosen]
-        return expand(case, basis, splines, points, self.time[chosen], coordinates, means)
+        states, time = self._states[chosen], self.time[chosen]
+        return expand(case, self._basis, values, points, time, states, means)

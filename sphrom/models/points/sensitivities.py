@@ -11,7 +11,8 @@ The correction of the coordinates changes with the parameters too. It has a kink
 points, where the derivative is the mean of both sides.
 
 A force is a polynomial of the coordinates with coefficients that depend on the parameters; it is
-differentiated by a central difference. The kinetic energy is quadratic in the velocity.
+differentiated by a central difference, and so is a pressure with modes of its own. The kinetic
+energy is quadratic in the velocity.
 """
 
 from __future__ import annotations
@@ -133,7 +134,8 @@ def tangents(
     gradient = run @ (modes @ modes.T)  # of the kinetic energy
     means = np.array([s.slope(lambda model: model.mean_density_fluctuation) for s in sides])
     measured = _forces(reduced, sides, run, changes, means)
-    measured |= _fields(reduced, run, changes, means)
+    states, state_changes = _with_pressure(reduced, sides, run, changes)
+    measured |= _fields(reduced, states, state_changes, means)
     energy = np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
     ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
     ordered = with_coefficients(ordered, case.plan.coefficients)
@@ -141,10 +143,10 @@ def tangents(
 
     def sampled(points: Array) -> Samples:
         mean = reduced.mean_density_fluctuation
-        moved = zip(run + changes, mean + means, strict=True)
+        moved = zip(states + state_changes, mean + means, strict=True)
         sample = partial(model.on_basis(basis).sampled, points, times)
-        samples = sample(run, mean)
-        others = [sample(coordinates, density) for coordinates, density in moved]
+        samples = sample(states, mean)
+        others = [sample(state, density) for state, density in moved]
         velocity = np.stack([other.velocity - samples.velocity for other in others])
         pressure = np.stack([other.pressure - samples.pressure for other in others])
         return Samples(times, velocity, pressure)
@@ -193,6 +195,25 @@ def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _S
     )
     below, above = (model.on_basis(basis).at(point) for point in (low, high))
     return _Sides(below, above, high.as_dict()[name] - low.as_dict()[name])
+
+
+def _with_pressure(
+    reduced: ReferenceModel, sides: Sequence[_Sides], run: Array, changes: Array
+) -> tuple[Array, Array]:
+    """Return a run and its derivatives with the coordinates of the model's own pressure modes."""
+    times = reduced.output_times.time
+    states = reduced.with_pressure(times, run)
+    if reduced.pressure is None:
+        return states, changes
+
+    def at(model: ReferenceModel, run: Array) -> Array:
+        return replace(model, output_times=reduced.output_times).with_pressure(times, run)
+
+    slopes = []
+    for side, change in zip(sides, changes, strict=True):
+        half = 0.5 * side.width * change
+        slopes.append((at(side.above, run + half) - at(side.below, run - half)) / side.width)
+    return states, np.stack(slopes)
 
 
 def _fields(

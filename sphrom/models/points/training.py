@@ -31,13 +31,21 @@ from sphrom.models.points.stored import (
     snapshot_times,
     stored_starts,
 )
-from sphrom.models.reference.stored import read_basis, read_modes
-from sphrom.reduction.calibration import Calibration
-from sphrom.reduction.correction import UNLIMITED, Correction, learn_correction
+from sphrom.models.reference.stored import read_basis
+from sphrom.plots.tables import format_figure
+from sphrom.reduction.calibration import Calibration, TrainingRun
+from sphrom.reduction.correction import interpolated, learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
-from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.own_pressure import (
+    CANDIDATES,
+    JOINT,
+    PressureSpace,
+    choose,
+    expected_errors,
+    fitted,
+)
 from sphrom.reduction.polynomial_model import Run
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reference_model import ReferenceModel
@@ -67,6 +75,8 @@ def trained_model(
     models = {name: train(workspace, section, name, start) for name in names}
     if any(model.problem is not None for model in models.values()):
         return None
+    for name, model in models.items():
+        _report_pressure(model, name)
     with workspace.open(workspace.basis()) as artifact:
         return TrainedModel(
             bases={name: model.trained for name, model in models.items()},
@@ -92,6 +102,20 @@ def train(
     return model
 
 
+def _report_pressure(model: BasisModel, basis: str) -> None:
+    """Report the errors of all candidates for the pressure, and which of them was chosen."""
+    trained = model.trained
+    if (errors := trained.pressure_errors) is None:
+        return
+    (chosen,) = trained.pressure or (JOINT,)
+    expected = map(format_figure, 100.0 * expected_errors(errors, trained.places))
+    model.workspace.context.report.table(
+        f"pressure of {model.section.name}, basis {basis}: {chosen}, by held-out training runs",
+        ("pressure", "error [%]"),
+        list(zip(CANDIDATES, expected, strict=True)),
+    )
+
+
 class _Training:
     """The training of one model."""
 
@@ -114,6 +138,10 @@ class _Training:
         whole = read_basis(workspace, name)
         self.n_all_modes = whole.n_modes
         self.basis = truncate(whole, section.size)
+        stored = self.stored.pressure
+        self.n_columns = self.n_all_modes + (0 if stored is None else len(stored.modes))
+        # Pressure modes follow all modes.
+        self.with_own = np.append(self.modes, np.arange(self.n_all_modes, self.n_columns))
         self.is_corrected = self.case.plan.is_corrected(section, name)
         self.projected: Array | None = None
         if section.is_calibrated or self.is_corrected:
@@ -133,7 +161,7 @@ class _Training:
             rates=rates,
             first_step=np.zeros(len(self.points)),
             forces=self._forces(rates[ALL_MODES].closure),
-            measures=self._measures(),
+            measures=self._measures(self.modes),
         )
         trained = replace(trained, rates=self._with_linear_parts(trained))
         model = self._with(trained)
@@ -147,12 +175,7 @@ class _Training:
         return self._learnt(trained, models, runs)
 
     def _with(self, trained: TrainedBasis) -> BasisModel:
-        def splines() -> ModeSplines:
-            return read_modes(self.workspace, self.name, self.section.size)[1]
-
-        return BasisModel(
-            self.workspace, self.section, self.name, trained, self.basis, self.start, splines
-        )
+        return BasisModel(self.workspace, self.section, self.name, trained, self.basis, self.start)
 
     def _learnt(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
@@ -173,6 +196,8 @@ class _Training:
             groups = np.split(self.modes, [self._n_integrated()])
             learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
             trained = replace(trained, correction=learnt)
+        if self.stored.pressure is not None and not self.section.settles_on_cycles:
+            trained = self._with_own_pressure(trained, models, coordinates, self.stored.pressure)
         if not self.section.settles_on_cycles:
             trained = replace(trained, forces=self._corrected_forces(trained, models, coordinates))
         if self.case.plan.has_error_estimate(self.name):
@@ -253,12 +278,47 @@ class _Training:
             )
         return forces
 
-    def _measures(self) -> dict[str, ReducedMeasure]:
-        """Return the measured fields."""
+    def _measures(self, modes: Indices) -> dict[str, ReducedMeasure]:
+        """Return the measured fields, of some of the modes and pressure modes."""
         return {
-            name: ReducedMeasure.of(measure).of_modes(self.modes)
+            name: ReducedMeasure.of(measure).of_modes(modes)
             for name, measure in self.stored.measure.items()
         }
+
+    def _with_own_pressure(
+        self,
+        trained: TrainedBasis,
+        models: Sequence[ReferenceModel],
+        coordinates: Array,
+        stored: PressureSpace,
+    ) -> TrainedBasis:
+        """Return the model with the pressure that is the best one in held-out training runs."""
+        model = self._with(trained)
+        space = stored.of_modes(self.modes)
+        runs: dict[int, TrainingRun] = {}
+        predicted: dict[int, TrainingRun] = {}
+        usable = np.isfinite(coordinates).all(axis=(1, 2)) & space.squares.any(axis=1)
+        for k in np.flatnonzero(usable).tolist():
+            point = self.points[k]
+            runs[k] = TrainingRun(
+                models[k].polynomial,
+                _with(coordinates[k], model.added(point)),
+                self.case.plan.kinematic_viscosity(point),
+                models[k].amplitudes(self.times),
+                point.factors,
+            )
+            found = _with(coordinates[k], model.added(point, held_out=True))
+            predicted[k] = replace(runs[k], coordinates=found)
+        if len(runs) < 2:
+            return trained
+        chosen, errors = choose(space, runs, predicted, trained.places)
+        trained = replace(trained, pressure_errors=errors)
+        if chosen == JOINT:
+            return trained
+        base = np.eye(len(space.modes), len(space.gradients))
+        own = fitted(space, base, chosen, runs, trained.places)
+        pressure = {chosen: replace(own, modes=space.modes)}
+        return replace(trained, pressure=pressure, measures=self._measures(self.with_own))
 
     def _corrected_forces(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
@@ -267,9 +327,8 @@ class _Training:
         model = self._with(trained)
         modelled = []
         for point, reduced, run in zip(self.points, models, coordinates, strict=True):
-            added = model.added(point)
             forces = {name: model.force_at(name, point) for name in trained.forces}
-            states = run if added is None else run + added
+            states = _with(run, model.added(point))
             modelled.append(forces_of(replace(reduced, forces=forces), self.times, states))
         places = trained.places
         weights = sound_averages(self.case)
@@ -282,11 +341,7 @@ class _Training:
             # Sound and particle noise may differ from run to run.
             parts = np.concatenate((slow, defects - slow), axis=2)
             each_load = list(np.arange(parts.shape[2])[:, None])
-            correction = learn_correction(places, parts, each_load, worthwhile=math.inf)
-            if len(places) == 1 and np.isfinite(defects).all():
-                # A single run does not determine the correlation length.
-                lengths = np.full(parts.shape[2], UNLIMITED)
-                correction = Correction(places=places, defects=parts, lengths=lengths)
+            correction = interpolated(places, parts, each_load)
             found[name] = replace(force, correction=correction)
         return found
 
@@ -300,7 +355,8 @@ class _Training:
         estimate = self.stored.estimate
         assert factor is not None
         assert estimate is not None
-        products = FieldProducts.of(estimate).only(self.modes, self.n_all_modes)
+        used = self.with_own if trained.pressure else self.modes
+        products = FieldProducts.of(estimate).only(used, self.n_columns)
         scale = self.case.fluid.reference_density * self.case.plan.sound_speed
         compared = compared_snapshots(self.case.plan.steps.n_snapshots)
         errors = TrainedErrors(
@@ -312,12 +368,12 @@ class _Training:
         for k, (point, reduced) in enumerate(zip(self.points, models, strict=True)):
             corrected = model.corrected(reduced, point, held_out=True)
             run = coordinates[k]
-            predicted = run if corrected.correction is None else run + corrected.correction
+            predicted = _with(run, corrected.correction)
             held_out.append((corrected, predicted))
-            learnt = trained.correction
-            own.append(run if learnt is None else run + learnt.at(trained.places[k]))
+            own.append(_with(run, model.added(point)))
             residuals.append(model.residual(errors, point, reduced, self.times, predicted))
-            known.append(products.errors(k, predicted[compared]))
+            states = corrected.with_pressure(self.times, predicted)
+            known.append(products.errors(k, states[compared]))
         fitted = calibrate_errors(
             self.times,
             np.stack(own),
@@ -355,3 +411,8 @@ class _Training:
             }
             found[name] = Differences(quantities=quantities)
         return found
+
+
+def _with(run: Array, added: Array | None) -> Array:
+    """Return coordinates with a correction, if there is one."""
+    return run if added is None else run + added

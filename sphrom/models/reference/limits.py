@@ -96,7 +96,7 @@ def sample_best(
     means = np.array([mean_density_fluctuation(basis, density) for density in densities])
     times = mapped.read("time")
     both, density, velocity = (
-        expand(case, basis, splines, probes.all, times, coordinates, means)
+        expand(case, basis, splines.values, probes.all, times, coordinates, means)
         for coordinates in (by_density + by_velocity, *alone)
     )
     return both, replace(density, velocity=velocity.velocity)
@@ -125,7 +125,7 @@ def measured_of_best(
 
     fast = FastModel(workspace, model)
     time = mapped.read("time")
-    reduced = fast.at(point)
+    reduced = replace(fast.at(point), pressure=None)
     density = mapped.read("density_fluctuation")
     coordinates = project(reduced.basis, density, mapped.read("velocity"))
     mean = mean_density_fluctuation(reduced.basis, density)

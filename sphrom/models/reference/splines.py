@@ -17,7 +17,6 @@ from sphrom.reduction import spline
 from sphrom.reduction.lattice_splines import LatticeSplines, fit_lattice_splines
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.spline import LocalSplines
-from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.store.workspace import Workspace
 
 
@@ -34,20 +33,20 @@ def fit_splines(workspace: Workspace) -> None:
     with workspace.create(target, attributes) as artifact:
         started = time.perf_counter()
         for name in case.plan.bases:
-            splines = fit(case, points, read_basis(workspace, name), name, report)
+            columns = basis_columns(read_basis(workspace, name))
+            splines = fit(case, points, columns, f"basis {name}", report)
             write_record(artifact, splines, f"bases/{name}")
             report.info(f"basis {name}: {splines.n_columns} {_summary(splines)}")
         artifact.annotate("timing/fit", time.perf_counter() - started)
 
 
 def fit(
-    case: Case, points: Array, basis: TrialBasis, name: str, report: Reporter
+    case: Case, points: Array, columns: Array, name: str, report: Reporter
 ) -> LocalSplines | LatticeSplines:
-    """Return the splines of a basis of a case, through its points (n_points, 2) [m].
+    """Return the splines of functions (n_points, n_columns) through points (n_points, 2) [m].
 
     Raises CaseError if they can't be fitted.
     """
-    columns = basis_columns(basis)
     domain = case.scene.domain
     if case.plan.lattice_splines:
         try:
@@ -56,7 +55,7 @@ def fit(
             raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
     width = spline.default_cell_width(domain, len(points))
     n_cells = math.prod(spline.fitting_cells(domain, width))
-    with report.progress(f"splines, basis {name}", n_cells) as advance:
+    with report.progress(f"splines, {name}", n_cells) as advance:
         try:
             return spline.fit_splines(
                 points,

@@ -15,7 +15,7 @@ from sphrom.artifacts import read_record
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import Samples
-from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.mode_splines import ModeSplines, Values
 from sphrom.reduction.trial_basis import TrialBasis, truncate
 from sphrom.setup import assembly
 from sphrom.sph.fluid import pressure_of
@@ -54,13 +54,15 @@ def mapped_runs(
             yield point, mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
 
 
-def read_splines(workspace: Workspace, name: str) -> ModeSplines:
-    """Read the splines of one basis."""
-    domain = workspace.case.scene.domain
-    group = f"bases/{name}"
-    with workspace.open(workspace.splines()) as artifact:
+def read_splines(workspace: Workspace, name: str, *, of_pressure: bool = False) -> ModeSplines:
+    """Read the splines of one basis, or those of its pressure modes."""
+    case = workspace.case
+    domain = case.scene.domain
+    target = workspace.operators() if of_pressure else workspace.splines()
+    group = f"{'pressure_splines' if of_pressure else 'bases'}/{name}"
+    with workspace.open(target) as artifact:
         # Kernels of splines take long to import, and few runs need them.
-        if workspace.case.plan.lattice_splines:
+        if case.plan.lattice_splines:
             from sphrom.reduction.lattice_splines import LatticeSplines
 
             return read_record(artifact, LatticeSplines, group, domain=domain)
@@ -70,8 +72,8 @@ def read_splines(workspace: Workspace, name: str) -> ModeSplines:
             artifact,
             LocalSplines,
             group,
-            order=int(artifact.number("spline_order")),
-            polynomial_degree=int(artifact.number("polynomial_degree")),
+            order=case.psi.order,
+            polynomial_degree=case.psi.polynomial_degree,
             domain=domain,
         )
 
@@ -82,20 +84,40 @@ def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasi
     return basis, read_splines(workspace, name).first(n_modes)
 
 
+def read_values(workspace: Workspace, name: str, n_modes: int, *, own_pressure: bool) -> Values:
+    """Return the values of the first modes of a basis, and then of its pressure modes if asked."""
+    values = read_splines(workspace, name).first(n_modes).values
+    if not own_pressure:
+        return values
+    of_pressure = read_splines(workspace, name, of_pressure=True).values
+    return both(values, of_pressure)
+
+
+def both(modes: Values, pressures: Values) -> Values:
+    """Return the values of modes, and then of pressure modes, given their pressures alone."""
+
+    def values(points: Array) -> Array:
+        own = pressures(points)
+        fields = np.stack((own, 0.0 * own, 0.0 * own), axis=2)
+        return np.hstack((modes(points), fields.reshape(len(own), -1)))
+
+    return values
+
+
 def expand(
     case: Case,
     basis: TrialBasis,
-    splines: ModeSplines,
+    values_at: Values,
     points: Array,
     times: Array,
     coordinates: Array,
     mean_density: Array,
 ) -> Samples:
-    """Sample the states with coordinates (n_snapshots, n_modes) at points by the modes' splines.
+    """Sample the states with coordinates (n_snapshots, n_modes) at points by the modes' values.
 
     `mean_density` (n_snapshots,) [kg/m3] is the separate mean of a basis that has one, else zero.
     """
-    values = splines.values(points).reshape(len(points), -1, 3)
+    values = values_at(points).reshape(len(points), -1, 3)
     fields = np.tensordot(coordinates, values, (1, 1))
     density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
     return Samples(times, fields[..., 1:], pressure_of(density, case.plan.sound_speed))

@@ -1,0 +1,258 @@
+"""Pressure with modes of its own, from the balance of momentum or from training runs.
+
+A model's modes have a velocity and a pressure each. The pressure of its coordinates a is a small
+difference of large contributions. It may therefore be given modes psi of its own, those of the
+training pressures. In units of q = c0 rho'/rho0 it is
+
+    q = sum_k a_k q_k + sum_m b_m psi_m.
+
+With the rates f of the velocity at fixed points (`sphrom.reduction.forms`), which contain the
+pressure of the first sum, the balance of momentum determines b:
+
+    b = K^-1 (c0 G psi, f(a) - sum_k da_k/dt u_k),    K = (c0 G psi, c0 G psi).
+
+That is the least residual of the balance that pressures of these modes leave. The products are
+those of the velocity. Like the rates, b is quadratic in a and affine in factors of the parameters.
+
+The remaining error is known in training runs. It may be added: by ridge regression on a
+(`sphrom.reduction.calibration`), or interpolated between the runs (`sphrom.reduction.correction`).
+`CANDIDATES` lists the combinations. Training runs that are held out from the modes psi and from
+all fits decide which of them a model uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sphrom.arrays import Array, Indices
+from sphrom.declaration import Record, attribute, dataset, part
+from sphrom.reduction.affine import VISCOSITY, Affine, factor_of
+from sphrom.reduction.calibration import Calibration, TrainingRun, fit
+from sphrom.reduction.correction import Correction, interpolated
+from sphrom.reduction.held_out import ALIKE, DIVERGED, surrounded
+from sphrom.reduction.reduced_operators import Polynomial, monomials_of, unpack
+from sphrom.sph.fluid import NONE, Factors
+
+JOINT, BALANCE, INTERPOLATED = "joint", "balance", "interpolated"
+CANDIDATES = (
+    JOINT,
+    f"{JOINT}-{INTERPOLATED}",
+    BALANCE,
+    f"{BALANCE}-{INTERPOLATED}",
+    f"{BALANCE}-ridge",
+    INTERPOLATED,
+)
+"""The candidates, from simple to complex: the pressure of the model's modes, the same with own
+modes from the balance of momentum, each with additions from training runs, and own modes alone."""
+WIDER = 3
+"""Size of the space in which pressures are compared, over the number of own modes."""
+
+_OWN = "own pressure modes"
+_BY_PART = "by part of the rates; `walls.lid` is that of walls per unit of a parameter `lid`"
+
+
+class PressureBalance(Record):
+    """The balance of momentum, projected onto the gradients of pressure modes."""
+
+    parts: Mapping[str, Array] = dataset(
+        "pressure_mode monomial", "m2/s3", f"products of rates with gradients, {_BY_PART}"
+    )
+    gradients: Array = dataset(
+        "pressure_mode pressure_mode", "m2/s4", "products of the gradients with each other", "K"
+    )
+    rates: Array = dataset(
+        "pressure_mode mode", "m2/s2", "products of the gradients with the velocities of modes"
+    )
+    joint: Array = dataset("mode pressure_mode", "1", "products of the modes' pressures with them")
+    walls_driven: int = attribute("", "1 if walls move with the amplitude, else 0")
+
+
+class PressureSpace(PressureBalance):
+    """The modes of training pressures, the leading ones of which a model may own."""
+
+    modes: Array = dataset("own_mode particle", "of the inner product's state", _OWN, "psi")
+    coordinates: Array = dataset(
+        "run snapshot pressure_mode", "of the inner product", "coordinates of training pressures"
+    )
+    squares: Array = dataset(
+        "run snapshot", "of the inner product, squared", "squared norms of training pressures"
+    )
+
+    def of_modes(self, modes: Indices) -> PressureSpace:
+        """Return the space for models with some of the modes."""
+        kept = monomials_of(modes, len(self.joint))
+        return replace(
+            self,
+            parts={name: columns[:, kept] for name, columns in self.parts.items()},
+            rates=self.rates[:, modes],
+            joint=self.joint[modes],
+        )
+
+
+def pressure_modes(pressures: Iterable[Array], weights: Array, n_modes: int) -> Array:
+    """Return at most `n_modes` orthonormal modes (n_modes, n_points) of pressures.
+
+    Parameters
+    ----------
+    pressures : (n_snapshots, n_points) each; their leading modes are accumulated one by one.
+    weights : (n_points,) of the inner product.
+    """
+    root = np.sqrt(weights)
+    kept = np.zeros((0, len(weights)))
+    for some in pressures:
+        rows = np.concatenate((kept, some * root))
+        _, values, modes = np.linalg.svd(rows, full_matrices=False)
+        used = values[:n_modes] > len(rows) * np.finfo(float).eps * values[0]
+        kept = (values[:, None] * modes)[:n_modes][used]
+    return np.asarray(kept / np.linalg.norm(kept, axis=1)[:, None] / root)
+
+
+@dataclass(frozen=True)
+class PointPressure:
+    """The coordinates of own modes at one parameter point: a polynomial, and a part over time."""
+
+    polynomial: Polynomial
+    correction: Array | None = None
+    """(n_trained_snapshots, n_own_modes), if training runs add one."""
+
+
+class OwnPressure(Record):
+    """The coordinates of own pressure modes as functions of those of a model."""
+
+    modes: Array = dataset("own_mode particle", "of the inner product's state", _OWN, "psi")
+    parts: Mapping[str, Array] = dataset(
+        "own_mode monomial",
+        "of the inner product",
+        f"coordinates of own modes, {_BY_PART}",
+        default_factory=dict,
+    )
+    rates: Array = dataset("own_mode mode", "s", "factors of the rates, to be subtracted")
+    walls_driven: int = attribute("", "1 if walls move with the amplitude, else 0")
+    ridge: Calibration | None = part(default=None)
+    correction: Correction | None = part(default=None)
+
+    @cached_property
+    def _affine(self) -> Affine:
+        driven = bool(self.walls_driven)
+        n_modes = self.rates.shape[1]
+        return Affine(
+            [
+                (factor_of(name.replace(".", "/"), driven), unpack(columns, n_modes))
+                for name, columns in self.parts.items()
+            ]
+        )
+
+    def at(
+        self,
+        rates: Polynomial,
+        kinematic_viscosity: float,
+        factors: Factors = NONE,
+    ) -> Polynomial:
+        """Return the coordinates of own modes, without the correction, at a parameter point.
+
+        Parameters
+        ----------
+        rates : the model's rates there.
+        kinematic_viscosity : [m2/s].
+        factors : the values of the driving parameters.
+        """
+        found = Polynomial(self._affine.at({VISCOSITY: kinematic_viscosity, **factors}))
+        if self.ridge is not None:
+            found = found.plus(self.ridge.at(kinematic_viscosity, factors))
+        change = (tuple(np.tensordot(self.rates, t, 1) for t in power) for power in rates.powers)
+        return found.plus(Polynomial(tuple(change)), -1.0)
+
+    def along(self, run: TrainingRun) -> Array:
+        """Return the coordinates (n_snapshots, n_own_modes) in a run, without the correction."""
+        amplitude = np.zeros(len(run.coordinates)) if run.amplitude is None else run.amplitude
+        found = self.at(run.rates, run.kinematic_viscosity, run.factors)
+        return found.along(run.coordinates, amplitude)
+
+
+def fitted(
+    space: PressureSpace,
+    own: Array,
+    candidate: str,
+    runs: Mapping[int, TrainingRun],
+    places: Array,
+) -> OwnPressure:
+    """Return a candidate, fitted to training runs.
+
+    Parameters
+    ----------
+    own : (n_own_modes, n_pressure_modes), the own modes in the space.
+    runs : the model's runs by number, which have the coordinates of full runs.
+    places : (n_all_runs, n_parameters), scaled so that distances are comparable.
+    """
+    joint = space.joint @ own.T
+    parts: dict[str, Array] = {}
+    rates = np.zeros((len(own), len(joint)))
+    if candidate.startswith(BALANCE):
+        solved = np.linalg.solve(own @ space.gradients @ own.T, own)
+        parts = {name: solved @ columns for name, columns in space.parts.items()}
+        rates = solved @ space.rates
+    elif candidate == INTERPOLATED:
+        width = space.parts["inertia"].shape[1]
+        parts = {"inertia": np.pad(-joint.T, ((0, 0), (1, width - 1 - len(joint))))}
+    pressure = OwnPressure(modes=own, parts=parts, rates=rates, walls_driven=space.walls_driven)
+    if candidate in (JOINT, BALANCE):
+        return pressure
+    missed = []
+    for k, run in runs.items():
+        known = run.coordinates @ joint + pressure.along(run)
+        missed.append(space.coordinates[k] @ own.T - known)
+    if candidate.endswith(INTERPOLATED):
+        correction = interpolated(places[list(runs)], np.stack(missed))
+        return replace(pressure, correction=correction)
+    samples = [(run.coordinates, m) for run, m in zip(runs.values(), missed, strict=True)]
+    return replace(pressure, ridge=fit(list(runs.values()), samples))
+
+
+def choose(
+    space: PressureSpace,
+    runs: Mapping[int, TrainingRun],
+    predicted: Mapping[int, TrainingRun],
+    places: Array,
+) -> tuple[str, Array]:
+    """Return the best candidate, and the relative errors (n_candidates, n_runs) of all.
+
+    Errors are root mean squares over a training run that was held out, and large where it diverged.
+
+    Parameters
+    ----------
+    runs : the model's training runs by number, which have the coordinates of full runs.
+    predicted : the same, predicted by the other runs.
+    places : (n_runs, n_parameters), scaled so that distances are comparable.
+    """
+    errors = np.full((len(CANDIDATES), len(places)), DIVERGED)
+    for k, run in predicted.items():
+        others = {j: other for j, other in runs.items() if j != k}
+        known = space.coordinates[list(others)].reshape(-1, len(space.gradients))
+        own = np.linalg.svd(known, full_matrices=False)[2][: len(space.modes)]
+        outside = space.squares[k].sum() - np.sum(space.coordinates[k] ** 2)
+        for row, candidate in enumerate(CANDIDATES):
+            pressure = fitted(space, own, candidate, others, places)
+            found = pressure.along(run)
+            if pressure.correction is not None:
+                found += pressure.correction.at(places[k])
+            missed = space.coordinates[k] - run.coordinates @ space.joint - found @ own
+            square = max(0.0, outside) + np.sum(missed**2)
+            errors[row, k] = np.sqrt(square / space.squares[k].sum())
+    expected = expected_errors(errors, places)
+    best = int(np.flatnonzero(expected <= ALIKE * expected.min())[0])
+    return CANDIDATES[best], errors
+
+
+def expected_errors(errors: Array, places: Array) -> Array:
+    """Return the root mean square error (n_candidates,) over the runs that decide.
+
+    These are the runs that others surround in the parameters, or all of them if there is none.
+    Parameters: as returned by and given to `choose`.
+    """
+    complete = np.flatnonzero(errors[0] < DIVERGED)
+    inside = np.intersect1d(complete, surrounded(places))
+    return np.sqrt(np.mean(errors[:, inside if len(inside) else complete] ** 2, axis=1))
