@@ -44,8 +44,7 @@ def case_warnings(case: Case) -> list[str]:
         *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
         *_of_strip(case),
-        *_of_kernel(case),
-        *_of_walls(case),
+        *_of_discretization(case),
         *_of_porous(case),
         *_of_fields(case),
         *_of_driving(case),
@@ -68,7 +67,7 @@ def _of_strip(case: Case) -> Iterator[str]:
         )
 
 
-def _of_kernel(case: Case) -> Iterator[str]:
+def _of_discretization(case: Case) -> Iterator[str]:
     plan = case.plan
     ratio = case.discretization.smoothing_length_ratio
     key = "discretization.smoothing_length_ratio"
@@ -86,11 +85,8 @@ def _of_kernel(case: Case) -> Iterator[str]:
             f"off by 43 to 52 % at 0.15 and by 84 % at 0.2; use {USUAL:g} or less, or "
             f"discretization.resolution: {resolution}"
         )
-
-
-def _of_walls(case: Case) -> Iterator[str]:
     kind = case.discretization.walls.kind
-    if case.scene.free_slip and kind in ("normal", "adami", "printed-normal"):
+    if scene.free_slip and kind in ("normal", "adami", "printed-normal"):
         yield (
             f"discretization.walls.kind: with slip: free, {kind} leaves flow along a wall out of "
             "continuity but not its pressure, so fluid gains energy: water at rest began to move "
