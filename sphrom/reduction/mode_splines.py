@@ -71,17 +71,6 @@ class ModeSplines(ABC):
         return values, gradients
 
 
-def both(modes: Values, pressures: Values) -> Values:
-    """Return the values of modes, and then of pressure modes, given their pressures alone."""
-
-    def values(points: Array) -> Array:
-        own = pressures(points)
-        fields = np.stack((own, 0.0 * own, 0.0 * own), axis=2)
-        return np.hstack((modes(points), fields.reshape(len(own), -1)))
-
-    return values
-
-
 class CellSplines(Record):
     """The local polyharmonic splines of one basis."""
 

@@ -65,7 +65,10 @@ FORCE = " per amplitude of the body force"
 VALUE = ", per unit of the parameter"
 _RATES = "of the modes, /s"
 _PART = "part of the reduced rates by"
-_CLOSURE = "rates that a closure with so many modes adds per memory length, by power of nu [m2/s]"
+_CLOSURE = (
+    "rates that a closure with so many modes adds, per memory length, by power of the viscosity "
+    "[m2/s]"
+)
 _LINEAR, _NORM = "direction linear_monomial", "of the inner product, /s"
 _LEFT_OUT = (
     "residual of the rates by {}: multiplied with monomials of coordinates, a vector with the norm "
@@ -409,13 +412,15 @@ class MemoryOperators(Record):
 def monomials(states: Array) -> Array:
     """Return the monomials (n_states, n_monomials) of coordinates, up to the second degree."""
     first, second = np.triu_indices(states.shape[1])
-    return np.column_stack((np.ones(len(states)), states, states[:, first] * states[:, second]))
+    ones = np.ones((len(states), 1))
+    return np.concatenate((ones, states, states[:, first] * states[:, second]), axis=1)
 
 
 def monomials_of(modes: Indices, n_modes: int) -> Indices:
     """Return the numbers of the monomials of some modes, in rising order, among those of all."""
-    products = np.isin(np.triu_indices(n_modes), modes).all(axis=0)
-    return np.concatenate(([0], 1 + modes, 1 + n_modes + np.flatnonzero(products)))
+    first, second = np.triu_indices(n_modes)
+    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
+    return np.concatenate(([0], 1 + modes, 1 + n_modes + products))
 
 
 def residual_norm(

@@ -31,6 +31,7 @@ from sphrom.models.points.error_estimates import (
     measured_sizes,
 )
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
+from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
@@ -93,7 +94,7 @@ class FastModel(Model[ReferenceModel]):
 
         def values() -> Values:
             from sphrom.models.reference.splines import fit  # few programs need it
-            from sphrom.reduction.mode_splines import basis_columns, both
+            from sphrom.reduction.mode_splines import basis_columns
 
             points = stored.reference_position
             report = self.workspace.context.report

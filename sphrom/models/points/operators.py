@@ -35,16 +35,26 @@ from sphrom.models.points.stored import (
     training_runs,
 )
 from sphrom.models.reference.splines import fit
-from sphrom.models.reference.stored import mapped_runs, read_basis, read_points, read_splines
+from sphrom.models.reference.stored import (
+    both,
+    mapped_runs,
+    read_basis,
+    read_points,
+    read_splines,
+)
 from sphrom.plots.tables import format_figure
-from sphrom.reduction import held_out, operator_projection, reference_model, trial_basis
+from sphrom.reduction import held_out, reference_model, trial_basis
 from sphrom.reduction.decomposition import N_FIELD_VALUES
 from sphrom.reduction.error_calibration import LEFT_OUT, compared_snapshots
 from sphrom.reduction.force_projection import project_forces
 from sphrom.reduction.memory_projection import project_memory
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
-from sphrom.reduction.mode_splines import Values, both
-from sphrom.reduction.operator_projection import project_operators, residual_factor
+from sphrom.reduction.mode_splines import Values
+from sphrom.reduction.operator_projection import (
+    project_operators,
+    project_pressure,
+    residual_factor,
+)
 from sphrom.reduction.own_pressure import WIDER, PressureSpace, pressure_modes
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
@@ -156,18 +166,19 @@ class _Projection:
         modes = pressure_modes(some, weights, WIDER * self.basis.n_modes)
         if not len(modes):
             return None
-        balance = operator_projection.project_pressure
+        balance = project_pressure(self.points, self.basis, self.splines, modes)
         coordinates, squares = [], []
         for _, densities, _ in mapped_runs(self.workspace, self.name):
             for first in range(0, len(densities), N_AT_ONCE):
                 pressures = self._pressure_of(densities[first : first + N_AT_ONCE])
                 coordinates.append((pressures * weights) @ modes.T)
                 squares.append(pressures**2 @ weights)
+        shape = len(self.trained), -1
         return PressureSpace(
-            **vars(balance(self.points, self.basis, self.splines, modes)),
+            **vars(balance),
             modes=modes[: self.basis.n_modes],
-            coordinates=np.concatenate(coordinates).reshape(len(self.trained), -1, len(modes)),
-            squares=np.concatenate(squares).reshape(len(self.trained), -1),
+            coordinates=np.concatenate(coordinates).reshape(*shape, len(modes)),
+            squares=np.concatenate(squares).reshape(shape),
         )
 
     def _pressure_of(self, densities: Array) -> Array:

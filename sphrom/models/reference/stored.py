@@ -15,7 +15,7 @@ from sphrom.artifacts import read_record
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import Samples
-from sphrom.reduction.mode_splines import ModeSplines, Values, both
+from sphrom.reduction.mode_splines import ModeSplines, Values
 from sphrom.reduction.trial_basis import TrialBasis, truncate
 from sphrom.setup import assembly
 from sphrom.sph.fluid import pressure_of
@@ -91,6 +91,17 @@ def read_values(workspace: Workspace, name: str, n_modes: int, *, own_pressure: 
         return values
     of_pressure = read_splines(workspace, name, of_pressure=True).values
     return both(values, of_pressure)
+
+
+def both(modes: Values, pressures: Values) -> Values:
+    """Return the values of modes, and then of pressure modes, given their pressures alone."""
+
+    def values(points: Array) -> Array:
+        own = pressures(points)
+        fields = np.stack((own, 0.0 * own, 0.0 * own), axis=2)
+        return np.hstack((modes(points), fields.reshape(len(own), -1)))
+
+    return values
 
 
 def expand(
