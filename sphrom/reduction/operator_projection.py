@@ -20,11 +20,11 @@ from sphrom.arrays import Array
 from sphrom.reduction.forms import Part, PointFields, Sound, parts_of, rates_of, weighted
 from sphrom.reduction.mode_fields import BLOCK_VALUES, blocks, mode_fields, weighted_rows
 from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.monomials import monomials
 from sphrom.reduction.own_pressure import PressureBalance
 from sphrom.reduction.reduced_operators import (
     ReducedOperators,
     ResidualFactor,
-    monomials,
     pack,
     unpack,
 )

@@ -34,7 +34,8 @@ from sphrom.reduction.affine import VISCOSITY, Affine, factor_of
 from sphrom.reduction.calibration import Calibration, TrainingRun, fit
 from sphrom.reduction.correction import Correction, interpolated
 from sphrom.reduction.held_out import ALIKE, DIVERGED, surrounded
-from sphrom.reduction.reduced_operators import Polynomial, monomials_of, unpack
+from sphrom.reduction.monomials import monomials_of
+from sphrom.reduction.reduced_operators import Polynomial, unpack
 from sphrom.sph.fluid import NONE, Factors
 
 JOINT, BALANCE, INTERPOLATED = "joint", "balance", "interpolated"

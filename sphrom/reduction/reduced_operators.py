@@ -48,6 +48,7 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, Tensors, dataset, fields_of_record, part, tensors
 from sphrom.reduction.affine import AMPLITUDE, FACTORS, VISCOSITY, Affine, factor_of
+from sphrom.reduction.monomials import monomials, monomials_of
 from sphrom.sph.fluid import NONE, Factors
 
 STABLE_RADIUS = 4.0
@@ -407,20 +408,6 @@ class MemoryOperators(Record):
             for degree in range(len(tensors[0]))
         ]
         return Polynomial(Affine(parts).at({VISCOSITY: kinematic_viscosity}))
-
-
-def monomials(states: Array) -> Array:
-    """Return the monomials (n_states, n_monomials) of coordinates, up to the second degree."""
-    first, second = np.triu_indices(states.shape[1])
-    ones = np.ones((len(states), 1))
-    return np.concatenate((ones, states, states[:, first] * states[:, second]), axis=1)
-
-
-def monomials_of(modes: Indices, n_modes: int) -> Indices:
-    """Return the numbers of the monomials of some modes, in rising order, among those of all."""
-    first, second = np.triu_indices(n_modes)
-    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
-    return np.concatenate(([0], 1 + modes, 1 + n_modes + products))
 
 
 def residual_norm(

@@ -27,6 +27,7 @@ from sphrom.case.plan import LEAST_SNAPSHOTS
 from sphrom.case.plan_times import MAX_STEPS
 from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
+from sphrom.models.points.pressures import pressure_space
 from sphrom.models.points.stored import (
     calibrated,
     memory_timing,
@@ -52,10 +53,8 @@ from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks,
 from sphrom.reduction.mode_splines import Values
 from sphrom.reduction.operator_projection import (
     project_operators,
-    project_pressure,
     residual_factor,
 )
-from sphrom.reduction.own_pressure import WIDER, PressureSpace, pressure_modes
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import (
@@ -112,7 +111,9 @@ class _Projection:
         self.compared = compared_snapshots(self.case.plan.steps.n_snapshots)
         self.whole = self.basis
         self.pressure_splines = None
-        self.pressures = self._pressures()
+        self.pressures = pressure_space(
+            workspace, points, name, self.basis, self.splines, self.compared
+        )
         if self.pressures is not None:
             self.whole = with_pressures(self.basis, self.pressures.modes)
             columns = np.ascontiguousarray(self.pressures.modes.T)
@@ -151,40 +152,6 @@ class _Projection:
         if chosen is not None:
             self._report_choice(chosen)
         return stored
-
-    def _pressures(self) -> PressureSpace | None:
-        """Return the modes of training pressures and their balance of momentum.
-
-        None with a single training run, which leaves none to choose a pressure by, and in the
-        paper's inner product.
-        """
-        if len(self.trained) < 2 or self.basis.inner_product.name == "raw":
-            return None
-        runs = mapped_runs(self.workspace, self.name)
-        some = (self._pressure_of(densities[list(self.compared)]) for _, densities, _ in runs)
-        weights = self.basis.weights
-        modes = pressure_modes(some, weights, WIDER * self.basis.n_modes)
-        if not len(modes):
-            return None
-        balance = project_pressure(self.points, self.basis, self.splines, modes)
-        coordinates, squares = [], []
-        for _, densities, _ in mapped_runs(self.workspace, self.name):
-            for first in range(0, len(densities), N_AT_ONCE):
-                pressures = self._pressure_of(densities[first : first + N_AT_ONCE])
-                coordinates.append((pressures * weights) @ modes.T)
-                squares.append(pressures**2 @ weights)
-        shape = len(self.trained), -1
-        return PressureSpace(
-            **vars(balance),
-            modes=modes[: self.basis.n_modes],
-            coordinates=np.concatenate(coordinates).reshape(*shape, len(modes)),
-            squares=np.concatenate(squares).reshape(shape),
-        )
-
-    def _pressure_of(self, densities: Array) -> Array:
-        """Return the pressure less its mean, q (n_snapshots, n_points) [m/s]."""
-        means = trial_basis.weighted_mean(densities, self.basis.weights)
-        return self.points.density_scale * (densities - means[:, None])
 
     def _closures(self, artifact: ArtifactWriter) -> dict[str, MemoryOperators]:
         """Project the term of the closure, for every number of modes of a model that uses it."""

@@ -1,0 +1,65 @@
+"""The space of own pressures of fast models, from mapped training runs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sphrom.arrays import Array, Indices
+from sphrom.models.reference.stored import mapped_runs
+from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.operator_projection import project_pressure
+from sphrom.reduction.own_pressure import WIDER, PressureSpace, pressure_modes
+from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
+from sphrom.sph.fixed_points import FixedPoints
+from sphrom.store.workspace import Workspace
+
+N_AT_ONCE = 10
+"""Number of snapshots read at once."""
+
+
+def pressure_space(
+    workspace: Workspace,
+    points: FixedPoints,
+    name: str,
+    basis: TrialBasis,
+    splines: ModeSplines,
+    compared: Indices,
+) -> PressureSpace | None:
+    """Return the modes of training pressures and their balance of momentum.
+
+    None with a single training run, which leaves none to choose a pressure by, and in the paper's
+    inner product.
+
+    Parameters
+    ----------
+    name : of the basis.
+    compared : the numbers of the snapshots that determine the modes.
+    """
+    n_runs = len(workspace.case.plan.bases[name])
+    if n_runs < 2 or basis.inner_product.name == "raw":
+        return None
+    weights = basis.weights
+
+    def pressure_of(densities: Array) -> Array:
+        """Return the pressure less its mean, q (n_snapshots, n_points) [m/s]."""
+        means = weighted_mean(densities, weights)
+        return points.density_scale * (densities - means[:, None])
+
+    some = (
+        pressure_of(densities[list(compared)]) for _, densities, _ in mapped_runs(workspace, name)
+    )
+    modes = pressure_modes(some, weights, WIDER * basis.n_modes)
+    if not len(modes):
+        return None
+    coordinates, squares = [], []
+    for _, densities, _ in mapped_runs(workspace, name):
+        for first in range(0, len(densities), N_AT_ONCE):
+            pressures = pressure_of(densities[first : first + N_AT_ONCE])
+            coordinates.append((pressures * weights) @ modes.T)
+            squares.append(pressures**2 @ weights)
+    return PressureSpace(
+        **vars(project_pressure(points, basis, splines, modes)),
+        modes=modes[: basis.n_modes],
+        coordinates=np.concatenate(coordinates).reshape(n_runs, -1, len(modes)),
+        squares=np.concatenate(squares).reshape(n_runs, -1),
+    )
