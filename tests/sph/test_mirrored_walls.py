@@ -130,6 +130,18 @@ def test_mirror_points_stay_in_narrow_gaps() -> None:
     assert np.all(depth[nearer] > 3.0 * SPACING)
 
 
+def test_mirror_points_in_a_wedge_end_at_its_edge() -> None:
+    """Ghosts behind the edge of a wedge of 45 degrees have no mirror point in the fluid."""
+    slope = shapely.Polygon([(-1.0, -0.1), (1.1, -0.1), (1.1, 0.0), (0.5, 0.0), (1.1, 0.6), (-1, 2)])
+    domain = PolygonDomain((0.0, 0.0), (1.0, 1.0), (False, False), (("slope", slope),))
+    ghosts = domain.ghosts(SPACING, 4).position
+    mirror, way = mirror_points(ghosts, domain, 2.0 * SPACING)
+    np.testing.assert_allclose(ghosts + way.T, mirror.T, atol=1e-12)
+    distance = domain.distance_and_normal(mirror.T)[0]
+    assert np.all(distance > -1e-12)
+    assert np.any(np.hypot(*(mirror.T - (0.5, 0.0)).T) < 1e-9)
+
+
 def test_periodic_images() -> None:
     """A disc across the corner of a periodic box, and the same flow with the disc inside of it."""
     moved = np.array((0.7, 0.6))

@@ -34,11 +34,15 @@ FLUX = 4
 FITS = slice(5, 8)
 """Rows of the interpolated fields with the fit around a ghost's mirror point."""
 
+SHARES = (0.5, 0.5, 0.5, 0.0, 0.0)
+"""Factors on the distance from the wall of mirror points that are in another solid, one by one."""
+
 
 def mirror_points(position: Array, domain: Domain, least: float) -> tuple[Array, Array]:
     """Return the mirror points (2, n_ghosts) [m] of ghosts, and the ways to them (2, n_ghosts) [m].
 
-    Where these would be in another solid, they are nearer to the wall.
+    Where these would be in another solid, they are nearer to the wall; in a wedge that is narrower
+    than a right angle, they may be its edge.
 
     Parameters
     ----------
@@ -47,12 +51,11 @@ def mirror_points(position: Array, domain: Domain, least: float) -> tuple[Array,
     """
     distance, normal = domain.distance_and_normal(position)
     depth = np.maximum(np.abs(distance), least)
-    beyond = np.ones(len(depth), dtype=bool)
-    while beyond.any():
+    for share in SHARES:
         way = (np.abs(distance) + depth)[:, None] * normal
         mirror = domain.wrap(position + way)
         beyond = domain.distance_and_normal(mirror)[0] <= 0.0
-        depth[beyond] *= 0.5
+        depth[beyond] *= share
     return np.ascontiguousarray(mirror.T), np.ascontiguousarray(way.T)
 
 
