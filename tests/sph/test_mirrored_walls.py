@@ -132,7 +132,9 @@ def test_mirror_points_stay_in_narrow_gaps() -> None:
 
 def test_mirror_points_in_a_wedge_end_at_its_edge() -> None:
     """Ghosts behind the edge of a wedge of 45 degrees have no mirror point in the fluid."""
-    slope = shapely.Polygon([(-1.0, -0.1), (1.1, -0.1), (1.1, 0.0), (0.5, 0.0), (1.1, 0.6), (-1, 2)])
+    slope = shapely.Polygon(
+        [(-1.0, -0.1), (1.1, -0.1), (1.1, 0.0), (0.5, 0.0), (1.1, 0.6), (-1, 2)]
+    )
     domain = PolygonDomain((0.0, 0.0), (1.0, 1.0), (False, False), (("slope", slope),))
     ghosts = domain.ghosts(SPACING, 4).position
     mirror, way = mirror_points(ghosts, domain, 2.0 * SPACING)
