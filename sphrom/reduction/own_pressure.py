@@ -51,6 +51,8 @@ CANDIDATES = (
 modes from the balance of momentum, each with additions from training runs, and own modes alone."""
 WIDER = 3
 """Size of the space in which pressures are compared, over the number of own modes."""
+NEGLIGIBLE = 1e-6
+"""Relative errors that differ by less are alike; smaller ones may be rounding."""
 
 _OWN = "own pressure modes"
 _BY_PART = "by part of the rates; `walls.lid` is that of walls per unit of a parameter `lid`"
@@ -244,7 +246,7 @@ def choose(
             square = max(0.0, outside) + np.sum(missed**2)
             errors[row, k] = np.sqrt(square / space.squares[k].sum())
     expected = expected_errors(errors, places)
-    best = int(np.flatnonzero(expected <= ALIKE * expected.min())[0])
+    best = int(np.flatnonzero(expected <= ALIKE * expected.min() + NEGLIGIBLE)[0])
     return CANDIDATES[best], errors
 
 
