@@ -15,6 +15,7 @@ from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.studies import Region, sweep_model, sweep_points
 from sphrom.metrics.series import shortest_period
 from sphrom.sph.fluid import ROUNDING
+from sphrom.sph.walls.kinds import KINDS
 
 SNAPSHOTS_PER_MODE = 2
 """Least number of snapshots per mode without a warning."""
@@ -86,7 +87,7 @@ def _of_discretization(case: Case) -> Iterator[str]:
             f"discretization.resolution: {resolution}"
         )
     kind = case.discretization.walls.kind
-    if scene.free_slip and kind in ("normal", "adami", "printed-normal"):
+    if scene.free_slip and KINDS[kind].drives_slip:
         yield (
             f"discretization.walls.kind: with slip: free, {kind} leaves flow along a wall out of "
             "continuity but not its pressure, so fluid gains energy: water at rest began to move "

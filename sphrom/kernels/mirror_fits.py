@@ -1,9 +1,9 @@
 """Linear fits of the fluid's fields around the mirror points of ghosts, which continue them there.
 
 A ghost at x_g has its mirror point m_g in the fluid. The fit weighs the fluid by the kernel around
-m_g, and its value at x_g is sum_j W(m_g - x_j) (a_g + b_g . (x_j - m_g)) f_j. With an inverse
-length, offsets and b_g have no units, and a_g that of 1/W. `source` is laid out as in
-`sphrom.kernels.fields`.
+m_g, and its value at x_g is sum_j W(m_g - x_j) (a_g + b_g . (x_j - m_g)) f_j. Offsets are over the
+smoothing length h, and W is the kernel times h^2, so that a_g and b_g have no units. `source` is
+laid out as in `sphrom.kernels.fields`.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def mirror_fits(mirror: Array, way: Array, source: Array, search: Search, out: A
     ----------
     mirror : (2, n_ghosts) mirror points [m].
     way : (2, n_ghosts) from there to the ghosts [m].
-    out : (3, n_ghosts) a, b_x, b_y, for a kernel without units.
+    out : (3, n_ghosts) a, b_x, b_y.
     """
     for i in prange(mirror.shape[1]):
         zeros = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

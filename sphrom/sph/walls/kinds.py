@@ -27,6 +27,8 @@ class WallKind:
     """Whether it is for walls along the axes only."""
     below_surfaces: bool = True
     """Whether it is for fluid with a free surface, too."""
+    drives_slip: bool = False
+    """Whether its walls give energy to fluid that slips freely along them."""
     wave_number: float = LARGEST_WAVE_NUMBER
     """Largest wave number of sound beside its walls, times h."""
     viscous_limit: float = 0.22
@@ -63,11 +65,13 @@ KINDS: Mapping[str, WallKind] = {
     "normal": WallKind(
         "rules:Normal",
         "velocity extrapolated, and only its part across the wall in continuity",
+        drives_slip=True,
     ),
     "adami": WallKind(
         "rules:Adami",
         "2 U_wall - u of the interpolated velocity u (Adami et al. 2012), and only its part across "
         "the wall in continuity",
+        drives_slip=True,
     ),
     "adami-as-fluid": WallKind(
         "rules:AdamiAsFluid",
@@ -81,6 +85,7 @@ KINDS: Mapping[str, WallKind] = {
     "printed-normal": WallKind(
         "rules:PrintedNormal",
         "u with its tangential part reversed, and only its part across the wall in continuity",
+        drives_slip=True,
     ),
 }
 """The rules by the value of `discretization.walls.kind`."""

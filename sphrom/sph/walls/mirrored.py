@@ -35,7 +35,8 @@ FITS = slice(5, 8)
 """Rows of the interpolated fields with the fit around a ghost's mirror point."""
 
 SHARES = (0.5, 0.5, 0.5, 0.0, 0.0)
-"""Factors on the distance from the wall of mirror points that are in another solid, one by one."""
+"""Factors on the distance of a mirror point from its wall, in turn, while it is in another solid;
+the last one repeats, so that the point is made with the distance that the one before leaves."""
 
 
 def mirror_points(position: Array, domain: Domain, least: float) -> tuple[Array, Array]:
@@ -74,6 +75,8 @@ class Mirrored(Adjoint):
     def __init__(
         self, walls: Walls, domain: Domain, fluid: Fluid, discretization: Discretization
     ) -> None:
+        if discretization.free_surface:
+            raise ValueError("mirrored walls are for fluid without a free surface; use adjoint")
         super().__init__(walls, domain, fluid, discretization)
         self._mirror, way = mirror_points(walls.position, domain, discretization.smoothing_length)
         self._from_mirror = -way
