@@ -90,7 +90,7 @@ def check_geometry(case: Case) -> Found:
     if domain.has_walls and not plan.walls_fit_lattice and KINDS[kind].along_axes:
         yield "discretization.walls.kind", f"{kind} is for walls that follow the axes"
     if case.scene.has_surface and not KINDS[kind].below_surfaces:
-        yield "discretization.walls.kind", f"{kind} is for fluid without a free surface; use adjoint"
+        yield "discretization.walls.kind", f"{kind} is for flows with no free surface; use adjoint"
     gap = domain.narrowest_gap
     solid = domain.thinnest_solid
     most = min(0.5 * gap, solid)
