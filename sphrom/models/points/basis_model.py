@@ -371,7 +371,11 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
 
 
 def forces_of(
-    reduced: ReferenceModel, time: Array, coordinates: Array, mean: Array | float | None = None
+    reduced: ReferenceModel,
+    time: Array,
+    coordinates: Array,
+    mean: Array | float | None = None,
+    own: Array | None = None,
 ) -> dict[str, Array]:
     """Return the forces and torques (n_states, 2, 3) of states [N/m, N], by measurement.
 
@@ -380,13 +384,16 @@ def forces_of(
     time : (n_states,) [s].
     coordinates : (n_states, n_modes).
     mean : separate density fluctuation [kg/m3], (n_states,) or one; by default the model's own.
+    own : (n_states, n_own_modes) of own pressure modes; by default as the model has them.
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
     if not reduced.forces:
         return {}
     amplitude = reduced.amplitudes(time)
     rates = reduced.polynomial.along(coordinates, amplitude)
-    states = time, coordinates, rates, amplitude, mean
+    if own is None and any(force.own is not None for force in reduced.forces.values()):
+        own = reduced.with_pressure(time, coordinates)[:, coordinates.shape[1] :]
+    states = time, coordinates, rates, amplitude, mean, own
     return {name: force.at(*states) for name, force in reduced.forces.items()}
 
 
