@@ -403,12 +403,15 @@ def quantities_of(
     time: Array,
     coordinates: Array,
     mean: Array | float | None = None,
+    own: Array | None = None,
 ) -> dict[str, Quantities]:
     """Return all measurements (n_states, ...) of a case or model, for states as in `forces_of`."""
     mean = reduced.mean_density_fluctuation if mean is None else mean
-    forces = forces_of(reduced, time, coordinates, mean)
+    if own is None:
+        own = reduced.with_pressure(time, coordinates)[:, coordinates.shape[1] :]
+    forces = forces_of(reduced, time, coordinates, mean, own)
     measured = {name: totals(loads) for name, loads in forces.items()}
     if reduced.measures:
-        measured |= reduced.measured(reduced.with_pressure(time, coordinates), mean)
+        measured |= reduced.measured(np.hstack((coordinates, own)), mean)
     ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
     return with_coefficients(ordered, case.plan.coefficients)
