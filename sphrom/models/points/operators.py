@@ -56,6 +56,7 @@ from sphrom.reduction.operator_projection import (
     project_operators,
     residual_factor,
 )
+from sphrom.reduction.own_pressure import PressureSpace
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import (
@@ -112,10 +113,11 @@ class _Projection:
         self.compared = compared_snapshots(self.case.plan.steps.n_snapshots)
         self.whole = self.basis
         self.pressure_splines = None
-        self.pressures, self.pressure_modes = pressure_space(
-            workspace, points, name, self.basis, self.splines, self.compared
-        ) or (None, None)
-        if self.pressures is not None:
+        self.pressures: PressureSpace | None = None
+        self.pressure_modes: Array | None = None
+        found = pressure_space(workspace, points, name, self.basis, self.splines, self.compared)
+        if found is not None:
+            self.pressures, self.pressure_modes = found
             self.whole = with_pressures(self.basis, self.pressures.modes)
             columns = np.ascontiguousarray(self.pressures.modes.T)
             self.pressure_splines = fit(

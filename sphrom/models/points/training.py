@@ -327,8 +327,8 @@ class _Training:
         base = np.eye(len(space.modes), len(space.gradients))
         own = fitted(space, base, chosen, runs, trained.places)
         pressure = {chosen: replace(own, modes=space.modes)}
-        found = replace(trained, pressure=pressure, measures=self._measures(self.with_own))
-        return found, held_out
+        trained = replace(trained, pressure=pressure, measures=self._measures(self.with_own))
+        return trained, held_out
 
     def _errors(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
