@@ -159,8 +159,8 @@ class Answer:
                     parts.append(f"{words}: {ONLY_NOISE} in the full run, the difference is {off}")
                     continue
                 errors = {
-                    "without sound": row.without_sound if row.sound else None,
-                    "sound alone": row.sound,
+                    "without sound": row.without_sound if row.fast else None,
+                    "sound and other fast changes": row.fast,
                     "nearest state": nearest.get((name, row.quantity)),
                     "estimate": row.estimated,
                 }

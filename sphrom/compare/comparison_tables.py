@@ -298,7 +298,7 @@ MEASURES: tuple[str, tuple[Column, ...]] = (
         ("greatest", "greatest"),
         ("error", _component_error),
         ("without sound", "without_sound"),
-        ("sound", "sound"),
+        ("fast part", "fast"),
         ("estimated", "estimated"),
         ("vector", "vector_relative_l2"),
         ("estimated", "vector_estimated"),

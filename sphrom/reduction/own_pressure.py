@@ -251,13 +251,8 @@ def choose(
             square = max(0.0, outside) + np.sum(missed**2)
             errors[row, k] = np.sqrt(square / space.squares[k].sum())
     expected = expected_errors(errors, places)
-    best = CANDIDATES[simplest(expected)]
+    best = CANDIDATES[int(np.flatnonzero(expected <= ALIKE * expected.min() + NEGLIGIBLE)[0])]
     return best, errors, added[best]
-
-
-def simplest(errors: Array) -> int:
-    """Return the number of the first candidate whose error is as small as the least."""
-    return int(np.flatnonzero(errors <= ALIKE * errors.min() + NEGLIGIBLE)[0])
 
 
 def expected_errors(errors: Array, places: Array) -> Array:
