@@ -70,9 +70,8 @@ class MeasureRow:
     """The same at the worst time."""
     without_sound: float | None = field(metadata={"unit": "%"})
     """The error of averages over a period of the longest sound wave, over the same change."""
-    fast: float | None = field(metadata={"unit": "%"})
-    """Difference of the full run from these averages, over the same change: sound, particle noise
-    and other fast changes."""
+    sound: float | None = field(metadata={"unit": "%"})
+    """What these averages remove from the full run, over the same change."""
     estimated: float | None = field(metadata={"unit": "%"})
     """The model's own estimate of `relative_l2`."""
     from_time: float = field(metadata={"unit": "s"})
@@ -149,7 +148,7 @@ def measure_rows(
                     relative_l2=errors[component][0],
                     relative_l2_peak=errors[component][1],
                     without_sound=None if own is full else slow[component],
-                    fast=fast[component],
+                    sound=fast[component],
                     estimated=estimated.get(component),
                     vector_relative_l2=errors[vector][0] if vector else None,
                     vector_estimated=estimated.get(vector),

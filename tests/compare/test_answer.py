@@ -6,7 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from sphrom.compare.answer import Answer, _by_preference
-from sphrom.compare.comparison_tables import ErrorRow, Tables
+from sphrom.compare.comparison_tables import SLOW_PRESSURE, SOUND, ErrorRow, Tables
 from sphrom.compare.costs import RunTiming, taking_turns
 from sphrom.compare.measured import MeasureRow
 from sphrom.metrics.histories import NO_ERRORS
@@ -40,6 +40,17 @@ def test_it_says_how_far_off_how_fast_and_when_it_pays() -> None:
     assert several in told(replace(ANSWER, timing=spread))
 
 
+def test_it_tells_a_pressure_error_that_is_sound() -> None:
+    def with_sound(sound: float | None) -> str:
+        errors = {**NO_ERRORS, SOUND: sound, SLOW_PRESSURE: 0.4}
+        return told(replace(ANSWER, row=replace(ANSWER.row, errors=errors)))
+
+    assert "1.8 % is sound or particle noise" in with_sound(1.8)
+    assert "the pressures differ by 0.40 %" in with_sound(1.8)
+    for quiet in (with_sound(0.9), with_sound(None), told(ANSWER)):
+        assert "sound" not in quiet
+
+
 def test_nothing_is_divided_by_the_seconds_that_an_import_states() -> None:
     imported = replace(TIMING, full_step=None, full_seconds=7.0, speed_up=None)
     answer = replace(ANSWER, timing=imported)
@@ -60,7 +71,7 @@ def test_it_says_how_far_off_measured_forces_are() -> None:
         "unit": "N/m", "compared": "fast", "parameters": "", "n_modes": 5, "role": "", "mean": 0.0,
         "from_time": 2.0, "least": 0.0, "greatest": 0.0, "vector_relative_l2": 9.7, "remark": "",
         "relative_l2_peak": None, "vector_estimated": None, "rms_error": 49.0,
-        "without_sound": 0.9, "fast": 1.3,
+        "without_sound": 0.9, "sound": 1.3,
     }  # fmt: skip
     along = MeasureRow("drag", "force_x", relative_l2=1.5, estimated=8.0, **parts)
     parts["remark"] = "only noise"
@@ -68,7 +79,7 @@ def test_it_says_how_far_off_measured_forces_are() -> None:
     best = (replace(along, relative_l2=0.87),)
     text = told(replace(ANSWER, loads=(along, across), nearest_loads=best, times="late: drag"))
     assert "Late: drag. The measured force (drag) differs over time, as a vector by 9.7 %, " in text
-    assert "force x by 1.5 % (without sound 0.90 %, sound and other fast changes 1.3 %, " in text
+    assert "force x by 1.5 % (without sound 0.90 %, share of sound 1.3 %, nearest " in text
     assert " nearest state 0.87 %, estimate 8.0 %); force y: only noise " in text
     assert "in the full run, the difference is 49 N/m." in text
 
