@@ -71,7 +71,7 @@ class MeasureRow:
     without_sound: float | None = field(metadata={"unit": "%"})
     """The error of averages over a period of the longest sound wave, over the same change."""
     sound: float | None = field(metadata={"unit": "%"})
-    """What these averages remove from the full run, over the same change."""
+    """The part of the full run that these averages remove, over the same change."""
     estimated: float | None = field(metadata={"unit": "%"})
     """The model's own estimate of `relative_l2`."""
     from_time: float = field(metadata={"unit": "s"})
