@@ -197,8 +197,11 @@ def mirror_matrix(
     near = sort_sources(
         np.ascontiguousarray(position.T), domain, reach, discretization.particle_spacing
     )
-    fits = np.empty((3, mirror.shape[1]))
-    mirror_fits.mirror_fits(mirror, way, near.place, near.search(reach, length), fits)
+    inverse, unused = np.empty((6, mirror.shape[1])), np.empty((3, mirror.shape[1]))
+    search = near.search(reach, length)
+    mirror_fits.fits(mirror, near.place, near.place[0], search, inverse, unused)
+    x, y = way / length
+    fits = inverse[:3] + inverse[[1, 3, 4]] * x + inverse[[2, 4, 5]] * y
     blocks = []
     for pairs in _pair_blocks(mirror.T, position, domain, discretization):
         x, y = -pairs.offset / length
