@@ -14,7 +14,7 @@ import numpy as np
 from numba import prange
 
 from sphrom.arrays import Array, Indices
-from sphrom.kernels.cells import Search, range_in_row, rows_within
+from sphrom.kernels.cells import Search, range_in_row
 from sphrom.kernels.fields import X, vector_at
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.pairs import kernel_of
@@ -31,7 +31,7 @@ class Mirrors(NamedTuple):
     """Mirror points, and the ghosts that share them."""
 
     place: Array
-    """(2, n_mirrors) [m] in ascending order of y."""
+    """(2, n_mirrors) [m], for `transposed` in ascending order of y."""
     start: Indices
     """(n_mirrors + 1,) the first of each point's ghosts."""
     ghost: Indices

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 FLUX = 4
 """Row of the interpolated fields with the flux towards a ghost."""
-SAME = 1e-6
+SAME = 1e-9
 """Distance over h below which mirror points are the same."""
 
 SHARES = (0.5, 0.5, 0.5, 0.0, 0.0)
@@ -81,9 +81,10 @@ class Mirrored(Adjoint):
         # Ghosts of the first rows share mirror points.
         rounded = np.round(mirror[::-1] / (SAME * length))
         _, first, shared = np.unique(rounded, return_index=True, return_inverse=True, axis=1)
-        start = np.searchsorted(np.sort(shared), np.arange(first.size + 1))
+        ghost = np.argsort(shared, kind="stable")
+        start = np.searchsorted(shared[ghost], np.arange(first.size + 1))
         place = np.ascontiguousarray(mirror[:, first])
-        self._mirrors = mirror_fits.Mirrors(place, start, np.argsort(shared), -way / length)
+        self._mirrors = mirror_fits.Mirrors(place, start, ghost, -way / length)
 
     def interpolated(self, source: Array, search: Search) -> tuple[Array, Array]:
         means, _ = super().interpolated(source, search)

@@ -261,7 +261,7 @@ class WallTerms:
     means: Array
     """The fields that ghosts took from the fluid, by `WallRule.interpolated`."""
     fits: Array
-    """From there, too."""
+    """The rule's fits, from there, too."""
     search: Search
     """With which ghosts search the fluid."""
 
