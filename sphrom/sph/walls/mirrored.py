@@ -78,12 +78,13 @@ class Mirrored(Adjoint):
         super().__init__(walls, domain, fluid, discretization)
         length = discretization.smoothing_length
         mirror, way = mirror_points(walls.position, domain, length)
-        # Ghosts of the first rows share mirror points.
-        rounded = np.round(mirror[::-1] / (SAME * length))
-        _, first, shared = np.unique(rounded, return_index=True, return_inverse=True, axis=1)
-        ghost = np.argsort(shared, kind="stable")
-        start = np.searchsorted(shared[ghost], np.arange(first.size + 1))
-        place = np.ascontiguousarray(mirror[:, first])
+        # Ghosts of the first rows share mirror points, which are sorted by y.
+        rounded = np.round(mirror / (SAME * length))
+        ghost = np.lexsort(rounded)
+        differs = np.diff(rounded[:, ghost], prepend=np.nan) != 0.0
+        first = np.flatnonzero(differs.any(axis=0))
+        place = np.ascontiguousarray(mirror[:, ghost[first]])
+        start = np.append(first, ghost.size)
         self._mirrors = mirror_fits.Mirrors(place, start, ghost, -way / length)
 
     def interpolated(self, source: Array, search: Search) -> tuple[Array, Array]:
