@@ -200,7 +200,8 @@ def mirror_matrix(
     n = mirror.shape[1]
     x, y = way / length
     mirrors = mirror_fits.Mirrors(mirror, np.arange(n + 1), np.arange(n), way / length)
-    inverse, values_of_x = np.empty((6, n)), np.empty(n)
+    inverse = np.empty((6, n))
+    values_of_x = np.empty(n)
     search = near.search(reach, length)
     mirror_fits.fits(mirrors, near.place, near.place[0], search, inverse, values_of_x)
     fits = inverse[:3] + inverse[[1, 3, 4]] * x + inverse[[2, 4, 5]] * y

@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 298_400, 237
+TOKENS, MODULES = 300_600, 238
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
 TEST_LINES = 28_550
 LARGEST_SHARE = 0.16

@@ -99,16 +99,17 @@ class Mirrored(Adjoint):
 
     def give_back(self, beside: WallTerms, out: Array) -> None:
         returned = beside.ghost[fields.VOLUME] * beside.means[FLUX]
-        source, particle = beside.source, beside.sources.particle
+        source = beside.source
+        particle = beside.sources.particle
         spread = np.empty(particle.size)
-        search = beside.search
-        mirror_fits.transposed(self._mirrors, beside.fits, returned, source, search, spread)
+        mirror_fits.transposed(self._mirrors, beside.fits, returned, source, beside.search, spread)
         out -= np.bincount(particle, spread / source[fields.VOLUME], out.size)
 
     def damp(self, beside: WallTerms, damping: Array) -> None:
-        source, search = beside.source, beside.search
         added = np.empty(self._mirrors.ghost.size)
-        mirror_fits.fits_again(self._mirrors, beside.fits, source, damping, search, added)
+        mirror_fits.fits_again(
+            self._mirrors, beside.fits, beside.source, damping, beside.search, added
+        )
         beside.ghost[fields.PRESSURE] += added
 
     @classmethod
