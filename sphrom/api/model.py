@@ -136,6 +136,8 @@ class Model:
         run = self._fast.run(self._point, self._lengthened(final_time))
         if run.failure is not None:
             raise UnstableError(f"{run.name}: {run.failure}")
+        for strain in run.strains:
+            self._warn(f"{self._point.label}: {strain}")
         return Result(
             model=self.name,
             parameters=self.parameters,

@@ -48,7 +48,7 @@ MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
 
 @dataclass(frozen=True)
 class RunRecord:
-    """One run of a sweep: its values, or the reason why it has none."""
+    """One run of a sweep: its values, and the reason why it has none or is in doubt."""
 
     point: ParameterPoint
     status: int
@@ -174,7 +174,8 @@ class SweptModel:
         if has_slopes and self.workspace.case.sweep.sensitivities:
             derivatives = _derivatives(run)
             values["derivatives"] = np.array([*derivatives.values()])
-        return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
+        strains = "; ".join(run.strains)
+        return RunRecord(run.point, COMPLETE, strains, values, tuple(derivatives))
 
 
 def _values(time: Array, step: float, energies: Array, speed: float) -> dict[str, Any]:
