@@ -103,7 +103,7 @@ class GraphModel:
 
     @property
     def given(self) -> tuple[float, float, float, float, float]:
-        """Depth, gravity, viscosity, the growth of gravity and its end, as the kernels take them."""
+        """Depth, gravity, viscosity, growth of gravity and its end, as the kernels take them."""
         gravity = self.gravity_factor * self.gravity
         return self.depth, gravity, self.viscosity, self.gravity_growth, self.largest_square
 

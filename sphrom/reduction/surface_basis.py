@@ -30,7 +30,10 @@ class SurfaceBasis(Record):
     surface_modes: Array = dataset("surface_mode cosine", "1", "orthonormal amplitudes of cosines")
     energies: Array = dataset("mode", "1", "coordinates' mean squares in training")
     noise: float = attribute(
-        "1", "mean square of one direction's coordinate by noise alone", at="noise_of_a_direction"
+        "1",
+        "mean square of one direction's coordinate by noise alone",
+        at="noise_of_a_direction",
+        default=0.0,
     )
     largest_slope: float = attribute("1", "of the surface in training")
 
@@ -138,7 +141,9 @@ class TrainedGraph(Record):
     rise: float = attribute("m", "of the mean level above the depth, in training runs")
     gravity_factor: float = attribute("1", "of gravity in the calibrated model")
     gravity_growth: float = attribute("1/m2", "of gravity with the square of the waves' amplitude")
-    largest_square: float = attribute("m2", "of the waves' amplitude in training runs")
+    largest_square: float = attribute(
+        "m2", "of the waves' amplitude in training runs", default=math.inf
+    )
     closure: Array = dataset("rate coordinate", "1/s", "linear closure of the calibrated model")
     elevation_error: float = attribute("1", "of the elevation, calibrated")
     velocity_error: float = attribute("1", "of the velocity, calibrated")

@@ -175,7 +175,8 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     """Return the columns of the table of runs, with their units.
 
     `error_estimate_extrapolated` is `yes` for values outside of the trained range, else `no`, and
-    empty without an estimate. `reason` is that of a failure, or of a doubt about a complete run. Measurements over time have
+    empty without an estimate. `reason` is that of a failure, or of a doubt about a complete run.
+    Measurements over time have
     columns for their statistics, from the time on that counts, and for estimated errors, which are
     empty for components with only noise; measurements along lines have none. Oscillations have a
     column for the reason why there is no frequency.
@@ -254,8 +255,8 @@ class Results:
         if doubtful := [run for run in records if run.status == COMPLETE and run.reason]:
             first = doubtful[0]
             report.warn(
-                f"{len(doubtful)} of {len(records)} runs are in doubt, such as {first.point.label}: "
-                f"{first.reason}"
+                f"{len(doubtful)} of {len(records)} runs are in doubt, such as "
+                f"{first.point.label}: {first.reason}"
             )
         if times := case.plan.times_in_words:
             report.info(times)
