@@ -145,7 +145,7 @@ class Model:
             time_step=run.time_step,
             _labels=self._labels,
             _sample=run.sampled,
-            _measured=lambda: run.measured,
+            _measured=lambda: run.measured | run.oscillations,
             _estimate=lambda: run.estimate,
         )
 

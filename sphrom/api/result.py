@@ -139,7 +139,7 @@ class Labels:
             if (own := run.estimate) is not None:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
             estimates = {f"{ERROR}{name}": each for name, each in run.measured_errors.items()}
-            own_values = run.measured | self.case.plan.oscillations.of(time, run.measured)
+            own_values = run.measured | run.oscillations
             for name, quantities in (own_values | estimates).items():
                 stacked = measured.setdefault(name, {})
                 for quantity, values in quantities.items():
@@ -222,9 +222,7 @@ class Result:
         """
         attributes = {"model": self.model, **self.parameters}
         labels = self._labels
-        measured = dict(self._measured())
-        measured |= labels.case.plan.oscillations.of(self.time, measured)
-        return labels.dataset(measured, self.time, attributes)
+        return labels.dataset(self._measured(), self.time, attributes)
 
     @property
     @guarded()

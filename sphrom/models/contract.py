@@ -258,6 +258,10 @@ class Model(ABC, Generic[At]):
         """
         raise NotImplementedError
 
+    def regime(self, point: ParameterPoint) -> str | None:
+        """Return the regime of the flow at a parameter point, one of REGIMES; None if unknown."""
+        return None
+
     def trained_differences(
         self, points: Sequence[ParameterPoint]
     ) -> list[tuple[Array, dict[str, Quantities]]]:
@@ -313,6 +317,17 @@ class ModelRun(ABC):
     @abstractmethod
     def measured(self) -> dict[str, Quantities]:
         """All measurements of the case (n_snapshots, ...), by name and quantity."""
+
+    @cached_property
+    def regime(self) -> str | None:
+        """The regime of the flow, one of REGIMES; None if the model does not know it."""
+        return self.model.regime(self.point)
+
+    @property
+    def oscillations(self) -> dict[str, Quantities]:
+        """The figures of oscillations (n_snapshots,), by name; NaN where the flow is steady."""
+        known = self.model.workspace.case.plan.oscillations
+        return known.of(self.time, self.measured, self.regime)
 
     @abstractmethod
     def sampled(self, points: Array) -> Samples:

@@ -26,6 +26,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import Quantities, of_a_run
 from sphrom.metrics.quantities import PLACED, components
+from sphrom.metrics.series import REGIMES
 from sphrom.models import fom, stages
 from sphrom.models.contract import Ability, ModelRun, family_of, model_of
 from sphrom.models.stored_run import StoredRun
@@ -37,6 +38,8 @@ from sphrom.sweep.workers import Failure, Task
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """The words for the statuses."""
+REGIME = "regime"
+"""Key of a run's regime, an index of REGIMES."""
 PLACE = "place"
 """Key of a run's scaled parameters."""
 ERROR = "error_estimate/"
@@ -174,6 +177,8 @@ class SweptModel:
         if has_slopes and self.workspace.case.sweep.sensitivities:
             derivatives = _derivatives(run)
             values["derivatives"] = np.array([*derivatives.values()])
+        if run.regime is not None:
+            values[REGIME] = REGIMES.index(run.regime)
         return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
 
 

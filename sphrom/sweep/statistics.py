@@ -23,16 +23,16 @@ from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
-from sphrom.metrics.measures import Oscillating
+from sphrom.metrics.measures import Oscillating, in_regime
 from sphrom.metrics.quantities import MEASURABLE, PLACED, components
-from sphrom.metrics.series import OSCILLATION
+from sphrom.metrics.series import OSCILLATION, REGIMES
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import output_errors
 from sphrom.setup.assembly import scaled_parameters, sound_averages
 from sphrom.store.workspace import Workspace
-from sphrom.sweep.batches import ERROR, PLACE, RunRecord, SweptModel
+from sphrom.sweep.batches import ERROR, PLACE, REGIME, RunRecord, SweptModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,7 +104,8 @@ def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Outpu
 def oscillation_of(measure: Oscillating, values: Mapping[str, Any]) -> dict[str, float]:
     """Return the oscillation in a run from the values of its record."""
     measured = {measure.quantity: values[f"measure/{measure.measure}/{measure.quantity}"]}
-    return measure.of(values["time"], measured)
+    regime = REGIMES[values[REGIME]] if REGIME in values else None
+    return in_regime(regime, measure.of(values["time"], measured))
 
 
 def _stacked(runs: Values) -> dict[str, Array]:

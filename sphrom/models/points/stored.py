@@ -29,6 +29,8 @@ from sphrom.setup import assembly
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
+STEADY_SHARE = 0.3
+"""Fluctuations of a steady run over the largest ones of training runs; the rest is noise."""
 N_BLOCK_SNAPSHOTS = 16
 """Number of snapshots that are projected at once."""
 
@@ -90,11 +92,16 @@ def cycle_closure(
     times = snapshot_times(case)
     cycles = []
     amplitude = assembly.amplitude_of(case, points[0])
-    for point, run in zip(points, runs, strict=True):
+    sizes = np.linalg.norm(runs - runs.mean(axis=1, keepdims=True), axis=(1, 2))
+    shares = sizes / sizes.max()
+    for point, run, share in zip(points, runs, shares.tolist(), strict=True):
         try:
             cycles.append(fitted_cycle(times, run))
         except ValueError as error:
             remedy = "see time.spin_up and time.final_time"
+            if share < STEADY_SHARE:
+                remedy = f"it is steady, with {100.0 * share:.0f} % of the fluctuations of others"
+                remedy += "; leave it out of parameters.train"
             raise ValueError(f"the training run at {point.label}: {error}; {remedy}") from error
     viscosities = np.array([case.plan.kinematic_viscosity(point) for point in points])
     pushed = 0.0 if amplitude is None else float(amplitude(times[-1:])[0])

@@ -77,6 +77,7 @@ def trained_model(
         return None
     for name, model in models.items():
         _report_pressure(model, name)
+        _report_onset(model, name)
     with workspace.open(workspace.basis()) as artifact:
         return TrainedModel(
             bases={name: model.trained for name, model in models.items()},
@@ -113,6 +114,25 @@ def _report_pressure(model: BasisModel, basis: str) -> None:
         f"pressure of {model.section.name}, basis {basis}: {chosen}, by held-out training runs",
         ("pressure", "error [%]"),
         list(zip(CANDIDATES, expected, strict=True)),
+    )
+
+
+def _report_onset(model: BasisModel, basis: str) -> None:
+    """Report the Reynolds number of the onset, with the other parameters as in the first run."""
+    closure = model.trained.rates[ALL_MODES].closure
+    if not isinstance(closure, CycleClosure):
+        return
+    point = model.points[0]
+    scale = point.reynolds * model.workspace.case.plan.kinematic_viscosity(point)
+    name = f"{model.section.name}, basis {basis}"
+    found = closure.onsets(point.factors)
+    if math.isinf(found[0]):
+        model.workspace.context.report.warn(f"{name}: training runs determine no onset")
+        return
+    onset, *others = (format_figure(scale / nu, 3) for nu in found)
+    spread = f", without one run {', '.join(others)}" if others else ""
+    model.workspace.context.report.info(
+        f"{name}: oscillates from reynolds={onset} on{spread}"
     )
 
 
