@@ -6,9 +6,17 @@ settles on a cycle of its own, with another amplitude and frequency. Training ru
     C(phi) = A_0 + Re sum_k A_k exp(i k phi),    dphi/dt = omega,
 
 by a fit to their coordinates. Just beyond its onset, an oscillation follows the equation
-of Stuart and Landau (Landau 1944; Stuart 1960): squared amplitude and frequency are linear in the
-Reynolds number, and harmonic k grows with the power k of the amplitude r = |A_1|. Therefore omega,
-r^2 and A_k / r^k are interpolated in 1/nu and the other parameters, with A_1 of all runs in phase.
+of Stuart and Landau (Landau 1944; Stuart 1960), dA/dt = (sigma + i omega) A - l |A|^2 A, with the
+amplitude r^2 = sigma / l, and harmonic k grows with the power k of r = |A_1|. The equations of
+motion are affine in nu, and so are sigma and omega near the onset. The Landau coefficient l hardly
+changes where advection restores the mean flow (`docs/wake.md`). Therefore omega, r^2 and A_k / r^k
+are interpolated in nu and the other parameters, with A_1 of all runs in phase. The onset is the
+zero of r^2. Estimates of it without one of the runs, and with an l that changes with nu, tell how
+certain it is.
+
+Below the onset, the closure is that of the onset, and disturbances are damped. The steady state
+follows from the projected rates, which know how a flow depends on nu. The mean of the cycles
+contains their effect on the mean flow, so it is not the steady state there.
 
 The rates f at a point get a constant and a linear term, fitted to the interpolated cycle,
 
@@ -54,6 +62,8 @@ DECAYS = 0.9
 RIDGE = 1e-4
 """Penalty of fits, over the mean square of a direction in which the cycle moves."""
 HELD = "yes"
+TRENDS = (-0.25, 0.25)
+"""Powers of the viscosity with which the Landau coefficient may change."""
 FARTHEST = 100.0
 """Largest viscosity at which the onset is looked for, over that of the training runs."""
 N_HALVINGS = 50
@@ -207,18 +217,20 @@ class CycleClosure:
 
     @cached_property
     def _estimates(self) -> list[tuple[Indices, Array]]:
-        """Estimates of r^2 with the runs that each is made from; the first one is the model's.
+        """The runs and the values by which r^2 is estimated, or its sign; first the model's own.
 
-        The others are made without one of the runs.
+        The others are without one of the runs, or with a trend of the Landau coefficient.
         """
         squares = (self._radii / self._radii.max()) ** 2
         runs = np.arange(len(squares))
         kept = [runs, *(np.delete(runs, k) for k in runs if len(runs) > 2)]
-        return [(some, squares[some]) for some in kept]
+        trends = [self.trained.viscosities**power for power in TRENDS]
+        return [
+            *((some, squares[some]) for some in kept),
+            *((runs, squares * trend / trend.max()) for trend in trends),
+        ]
 
-    def _weights(
-        self, viscosity: float, factors: Factors, runs: Indices | None = None
-    ) -> Array:
+    def _weights(self, viscosity: float, factors: Factors, runs: Indices | None = None) -> Array:
         """Return the weights of all training runs, or of some, in the interpolation to a point."""
         highest = self.trained.viscosities.max()
         sizes = {name: np.abs(x).max() or 1.0 for name, x in self.trained.values.items()}
@@ -281,9 +293,7 @@ class CycleClosure:
     ) -> LimitCycle:
         """Return the cycle at a point; if `fitted`, not smaller than the smallest trained one."""
         frequency = float(self._weights(viscosity, factors) @ self.trained.frequencies)
-        return LimitCycle(
-            frequency, self._between(viscosity, factors, self._harmonics, fitted)
-        )
+        return LimitCycle(frequency, self._between(viscosity, factors, self._harmonics, fitted))
 
     def at(self, viscosity: float, factors: Factors = NONE) -> Polynomial:
         """Return the added rates at a viscosity [m2/s] and values of the other parameters."""

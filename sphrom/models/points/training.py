@@ -129,10 +129,9 @@ def _report_onset(model: BasisModel, basis: str) -> None:
     if math.isinf(found[0]):
         model.workspace.context.report.warn(f"{name}: training runs determine no onset")
         return
-    onset, *others = (format_figure(scale / nu, 3) for nu in found)
-    spread = f", without one run {', '.join(others)}" if others else ""
+    onset, low, high = (format_figure(scale / x, 3) for x in (found[0], max(found), min(found)))
     model.workspace.context.report.info(
-        f"{name}: oscillates from reynolds={onset} on{spread}"
+        f"{name}: oscillates from reynolds={onset} on, by estimates from {low} to {high}"
     )
 
 
