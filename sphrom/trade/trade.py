@@ -22,7 +22,7 @@ from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import Samples, since, variations, without_weight
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.quantities import parts
-from sphrom.metrics.series import BELOW_ONSET, NO_OSCILLATION, STEADY
+from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.models.contract import Model, model_of
 from sphrom.models.fom import N_TIMED_STEPS
 from sphrom.models.stable_ranges import TIME, StableRange, stable_ranges
@@ -41,6 +41,7 @@ from sphrom.trade.candidates import (
     candidates,
     first_model,
     make_runs,
+    oscillating_points,
     prepared,
     sampled,
     trade_points,
@@ -101,23 +102,12 @@ class _Trade:
         self.oscillating = case.plan.oscillations.get(self.measured or "")
         if self.oscillating is not None:
             self.measured = self.oscillating.measure
-            points = self._oscillating(points)
+            points = oscillating_points(self.wider, points)
         self.full: dict[ParameterPoint, Samples] = {}
         for point in points:
             with self.workspace.open(self.workspace.full_run(point)) as trajectory:
                 require_complete(trajectory)
             self.full[point] = self._sampled(self.workspace, point)
-
-    def _oscillating(self, points: Sequence[ParameterPoint]) -> list[ParameterPoint]:
-        """Return the points where the case's model is not steady; the others do not count."""
-        model = model_of(self.wider, first_model(self.case))
-        beyond = [point for point in points if model.regime(point) != STEADY]
-        steady = ", ".join(point.label for point in points if point not in beyond)
-        if not beyond:
-            raise CaseError(f"trade.measure: {self.case.trade.measure}: {steady}: {BELOW_ONSET}")
-        if steady:
-            self.workspace.context.report.note(f"{steady} does not count: {BELOW_ONSET}")
-        return beyond
 
     def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
         return sampled(workspace, point, self.probes, self.measured)
