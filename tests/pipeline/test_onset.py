@@ -108,6 +108,7 @@ def test_python_and_fits_do_not_count_oscillations_below_the_onset(made: Path) -
     study = package.Study(made / "wave.yaml", out=made / "runs", quiet=True)
     model = study.model("fast", reynolds=100.0)
     several = model.run_many({"reynolds": [40.0, 100.0]})
+    assert several.regime.values.tolist() == ["steady", "shedding"]
     assert np.isnan(several.beat_amplitude.values).tolist() == [True, False]
     assert np.isfinite(several.beat_mean.values).all()
     assert np.isnan(model.at(reynolds=40.0).run().measures.beat_frequency)
