@@ -61,7 +61,6 @@ DECAYS = 0.9
 """Amplitude in the second half of a record over that in the first, below which it decays."""
 RIDGE = 1e-4
 """Penalty of fits, over the mean square of a direction in which the cycle moves."""
-HELD = "yes"
 TRENDS = (-0.25, 0.25)
 """Powers of the viscosity with which the Landau coefficient may change."""
 FARTHEST = 100.0
@@ -272,19 +271,19 @@ class CycleClosure:
                 high = middle
         return high
 
-    def _between(
-        self, viscosity: float, factors: Factors, harmonics: Harmonics, fitted: bool = True
-    ) -> Harmonics:
-        """Return interpolated harmonics; `fitted`: of a radius not below the training runs'."""
-        weights = self._weights(viscosity, factors)
+    def _radius(self, viscosity: float, factors: Factors, fitted: bool) -> float:
+        """Return r, zero below the onset; if `fitted`, not below that of the training runs."""
         radius = self._radii.max() * math.sqrt(max(self._square(viscosity, factors), 0.0))
-        radius = max(radius, self._radii.min()) if fitted else radius
+        return float(max(radius, self._radii.min()) if fitted else radius)
+
+    def _between(self, weights: Array, radius: float, harmonics: Harmonics) -> Harmonics:
+        """Return interpolated harmonics of cycles with a radius."""
         scales = (radius / self._radii[:, None]) ** ORDERS
         return np.asarray(np.tensordot(weights, scales[..., None] * self._turns * harmonics, 1))
 
     def _held(self, viscosity: float, factors: Factors) -> float:
         """Return a viscosity, or below the onset that of the onset, whose closure holds there."""
-        if self._square(viscosity, factors) > 0.0 or HELD == "no":
+        if self._square(viscosity, factors) > 0.0:
             return viscosity
         return min(viscosity, self._onset(factors))
 
@@ -292,8 +291,10 @@ class CycleClosure:
         self, viscosity: float, factors: Factors = NONE, fitted: bool = False
     ) -> LimitCycle:
         """Return the cycle at a point; if `fitted`, not smaller than the smallest trained one."""
-        frequency = float(self._weights(viscosity, factors) @ self.trained.frequencies)
-        return LimitCycle(frequency, self._between(viscosity, factors, self._harmonics, fitted))
+        weights = self._weights(viscosity, factors)
+        radius = self._radius(viscosity, factors, fitted)
+        frequency = float(weights @ self.trained.frequencies)
+        return LimitCycle(frequency, self._between(weights, radius, self._harmonics))
 
     def at(self, viscosity: float, factors: Factors = NONE) -> Polynomial:
         """Return the added rates at a viscosity [m2/s] and values of the other parameters."""
@@ -346,7 +347,8 @@ class CycleClosure:
         """Return a force corrected by the differences between recorded loads and the model's.
 
         `trained` are the forces at the runs' parameters, and `loads` the harmonics
-        (1 + N_HARMONICS, 6) [N/m, N] of the recorded ones.
+        (1 + N_HARMONICS, 6) [N/m, N] of the recorded ones. Beyond the viscosities of the runs the
+        differences are those of the nearest one, because they are not linear over so long a way.
         """
 
         def modelled(at: PointForce, cycle: LimitCycle) -> Array:
@@ -361,7 +363,10 @@ class CycleClosure:
         )
         viscosity = self._held(viscosity, factors)
         cycle = self.cycle_at(viscosity, factors, fitted=True)
-        missing = around(self._between(viscosity, factors, defects))
+        radius = self._radius(viscosity, factors, fitted=True)
+        trained_range = self.trained.viscosities.min(), self.trained.viscosities.max()
+        weights = self._weights(float(np.clip(viscosity, *trained_range)), factors)
+        missing = around(self._between(weights, radius, defects))
         linear = _slope(cycle.states, missing)
         constant = missing.mean(axis=0) - linear @ cycle.harmonics[0].real
         return replace(force, polynomial=force.polynomial.plus(Polynomial(((constant, linear),))))
