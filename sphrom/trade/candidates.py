@@ -58,14 +58,14 @@ def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
 
 def oscillating_points(
     workspace: Workspace, points: Sequence[ParameterPoint]
-) -> list[ParameterPoint]:
+) -> tuple[ParameterPoint, ...]:
     """Return the points where the first reduced model is not steady; the others do not count.
 
     Raises CaseError if it is steady at all points.
     """
     case = workspace.case
     model = model_of(workspace, first_model(case))
-    beyond = [point for point in points if model.regime(point) != STEADY]
+    beyond = tuple(point for point in points if model.regime(point) != STEADY)
     steady = ", ".join(point.label for point in points if point not in beyond)
     if not beyond:
         raise CaseError(f"trade.measure: {case.trade.measure}: {steady}: {BELOW_ONSET}")
@@ -240,7 +240,7 @@ def variant_of(context: StageContext, case: Case, shared: tuple[str, ...] = ()) 
 
 def make_runs(
     variant: Variant, label: str, points: Sequence[ParameterPoint]
-) -> list[ParameterPoint]:
+) -> tuple[ParameterPoint, ...]:
     """Make the missing full runs of a variant; return and warn of unstable points."""
     unstable = []
     for point in points:
