@@ -230,7 +230,12 @@ class CycleClosure:
         ]
 
     def _weights(self, viscosity: float, factors: Factors, runs: Indices | None = None) -> Array:
-        """Return the weights of all training runs, or of some, in the interpolation to a point."""
+        """Return the weights of all training runs, or of some, in the value at a point.
+
+        Beyond their viscosities, the value at the nearest one is continued with the slope of the
+        line that fits all runs. The slope at the end of a spline depends on differences of two
+        neighbours.
+        """
         highest = self.trained.viscosities.max()
         sizes = {name: np.abs(x).max() or 1.0 for name, x in self.trained.values.items()}
 
@@ -239,7 +244,11 @@ class CycleClosure:
 
         trained = np.array([scaled(nu, values) for nu, values in self.trained.points])
         used = trained if runs is None else trained[runs]
-        return spline_weights(used, np.array(scaled(viscosity, factors)))
+        place = np.array(scaled(viscosity, factors))
+        beyond = place[0] - np.clip(place[0], used[:, 0].min(), used[:, 0].max())
+        place[0] -= beyond
+        slopes = np.linalg.pinv(used - used.mean(axis=0))[0]
+        return np.asarray(spline_weights(used, place) + beyond * slopes)
 
     def _square(self, viscosity: float, factors: Factors, estimate: int = 0) -> float:
         """Return r^2 over the largest of the training runs; negative below the onset."""

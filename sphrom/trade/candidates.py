@@ -70,7 +70,7 @@ def oscillating_points(
     if not beyond:
         raise CaseError(f"trade.measure: {case.trade.measure}: {steady}: {BELOW_ONSET}")
     if steady:
-        workspace.context.report.note(f"{steady} does not count: {BELOW_ONSET}")
+        workspace.context.report.info(f"{steady} does not count: {BELOW_ONSET}")
     return beyond
 
 
