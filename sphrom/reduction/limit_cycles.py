@@ -10,9 +10,9 @@ of Stuart and Landau (Landau 1944; Stuart 1960), dA/dt = (sigma + i omega) A - l
 amplitude r^2 = sigma / l, and harmonic k grows with the power k of r = |A_1|. The equations of
 motion are affine in nu, and so are sigma and omega near the onset. The Landau coefficient l hardly
 changes where advection restores the mean flow (`docs/wake.md`). Therefore omega, r^2 and A_k / r^k
-are interpolated in nu and the other parameters, with A_1 of all runs in phase. The onset is the
-zero of r^2. Estimates of it without one of the runs, and with an l that changes with nu, tell how
-certain it is.
+are interpolated in nu and the other parameters, with A_1 of all runs in phase; beyond the runs, the
+line that fits all of them is continued from the nearest one. The onset is the zero of r^2.
+Estimates of it without one of the runs, and with an l that changes with nu, tell how certain it is.
 
 Below the onset, the closure is that of the onset, and disturbances are damped. The steady state
 follows from the projected rates, which know how a flow depends on nu. The mean of the cycles
@@ -310,7 +310,7 @@ class CycleClosure:
         return self._damped(viscosity, factors, self._damping)
 
     def _damped(self, viscosity: float, factors: Factors, damping: float) -> Polynomial:
-        below = min(self._square(viscosity, factors), 0.0)
+        below = float(np.clip(self._square(viscosity, factors), -1.0, 0.0))
         viscosity = self._held(viscosity, factors)
         rates = self.operators.at(viscosity, factors)
         pushed = np.full(N_PHASES, self.trained.amplitude)

@@ -18,6 +18,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, TestValues
 from sphrom.case.studies import at_resolution, changed, values_at
 from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, TrainingSection
+from sphrom.console import Reporter
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import Probes, Samples
 from sphrom.metrics.series import BELOW_ONSET, STEADY
@@ -57,7 +58,7 @@ def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
 
 
 def oscillating_points(
-    workspace: Workspace, points: Sequence[ParameterPoint]
+    workspace: Workspace, points: Sequence[ParameterPoint], report: Reporter
 ) -> tuple[ParameterPoint, ...]:
     """Return the points where the first reduced model is not steady; the others do not count.
 
@@ -70,7 +71,7 @@ def oscillating_points(
     if not beyond:
         raise CaseError(f"trade.measure: {case.trade.measure}: {steady}: {BELOW_ONSET}")
     if steady:
-        workspace.context.report.info(f"{steady} does not count: {BELOW_ONSET}")
+        report.info(f"{steady} does not count: {BELOW_ONSET}")
     return beyond
 
 
