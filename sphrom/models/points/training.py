@@ -165,9 +165,8 @@ class _Training:
         )
         trained = replace(trained, rates=self._with_linear_parts(trained))
         model = self._with(trained)
-        models = [model.projected(point, in_training=True) for point in self.points]
         try:
-            runs = [model.integrator(m.leading or m).run() for m in models]
+            models, runs = self._repeated(model)
         except CaseError as error:
             # Models without corrections may be stable at other parameters.
             model.problem = error if self.is_corrected else None
@@ -177,13 +176,15 @@ class _Training:
     def _with(self, trained: TrainedBasis) -> BasisModel:
         return BasisModel(self.workspace, self.section, self.name, trained, self.basis, self.start)
 
-    def _learnt(
+    def _repeated(self, model: BasisModel) -> tuple[list[ReferenceModel], list[Run]]:
+        """Return the model at the training points without corrections, and its runs."""
+        models = [model.projected(point, in_training=True) for point in self.points]
+        return models, [model.integrator(m.leading or m).run() for m in models]
+
+    def _corrected(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
-    ) -> BasisModel:
-        """Return the model with the corrections and steps that its own training runs teach."""
-        if self.section.time_step == AUTO:
-            steps = [0.0 if math.isfinite(run.diverged_at) else run.time_step for run in runs]
-            trained = replace(trained, first_step=np.array(steps))
+    ) -> tuple[TrainedBasis, Array]:
+        """Return the model with its correction, and its training runs without that."""
         # Coordinates that are not integrated are zero.
         coordinates = np.stack(
             [
@@ -191,11 +192,21 @@ class _Training:
                 for each, run in zip(models, runs, strict=True)
             ]
         )
-        if self.is_corrected:
-            assert self.projected is not None
-            groups = np.split(self.modes, [self._n_integrated()])
-            learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
-            trained = replace(trained, correction=learnt)
+        if not self.is_corrected:
+            return trained, coordinates
+        assert self.projected is not None
+        groups = np.split(self.modes, [self._n_integrated()])
+        learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
+        return replace(trained, correction=learnt), coordinates
+
+    def _learnt(
+        self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
+    ) -> BasisModel:
+        """Return the model with the corrections and steps that its own training runs teach."""
+        if self.section.time_step == AUTO:
+            steps = [0.0 if math.isfinite(run.diverged_at) else run.time_step for run in runs]
+            trained = replace(trained, first_step=np.array(steps))
+        trained, coordinates = self._corrected(trained, models, runs)
         if self.stored.pressure is not None and not self.section.settles_on_cycles:
             trained = self._with_own_pressure(trained, models, coordinates, self.stored.pressure)
         if not self.section.settles_on_cycles:
@@ -293,25 +304,14 @@ class _Training:
         stored: PressureSpace,
     ) -> TrainedBasis:
         """Return the model with the pressure that is the best one in held-out training runs."""
-        model = self._with(trained)
         space = stored.of_modes(self.modes)
-        runs: dict[int, TrainingRun] = {}
-        predicted: dict[int, TrainingRun] = {}
-        usable = np.isfinite(coordinates).all(axis=(1, 2)) & space.squares.any(axis=1)
-        for k in np.flatnonzero(usable).tolist():
-            point = self.points[k]
-            runs[k] = TrainingRun(
-                models[k].polynomial,
-                _with(coordinates[k], model.added(point)),
-                self.case.plan.kinematic_viscosity(point),
-                models[k].amplitudes(self.times),
-                point.factors,
-            )
-            found = _with(coordinates[k], model.added(point, held_out=True))
-            predicted[k] = replace(runs[k], coordinates=found)
-        if len(runs) < 2:
+        usable = np.flatnonzero(space.squares.any(axis=1)).tolist()
+        runs = self._known(self._with(trained), models, coordinates, usable)
+        without = {k: self._without(trained, k, usable) for k in usable}
+        predicted = {k: known for k, known in without.items() if k in known and len(known) > 1}
+        if len(runs) < 2 or not predicted:
             return trained
-        chosen, errors = choose(space, runs, predicted, trained.places)
+        chosen, errors = choose(space, predicted, trained.places)
         trained = replace(trained, pressure_errors=errors)
         if chosen == JOINT:
             return trained
@@ -319,6 +319,51 @@ class _Training:
         own = fitted(space, base, chosen, runs, trained.places)
         pressure = {chosen: replace(own, modes=space.modes)}
         return replace(trained, pressure=pressure, measures=self._measures(self.with_own))
+
+    def _without(
+        self, trained: TrainedBasis, k: int, usable: Sequence[int]
+    ) -> dict[int, TrainingRun]:
+        """Return the complete training runs of a model that is fitted to all of them but `k`."""
+        others = np.delete(np.arange(len(self.points)), k)
+        points = [self.points[j] for j in others]
+        rates = {}
+        for name, known in trained.rates.items():
+            fitted_to = known.calibration
+            if fitted_to is not None:
+                assert self.projected is not None
+                projected = self.projected[others][..., : known.operators.n_modes]
+                fitted_to = calibrated(self.case, points, known.operators, projected)
+            rates[name] = replace(known, calibration=fitted_to)
+        model = self._with(replace(trained, rates=rates))
+        try:
+            models, runs = self._repeated(model)
+        except CaseError:
+            return {}
+        trained, coordinates = self._corrected(model.trained, models, runs)
+        return self._known(self._with(trained), models, coordinates, usable, k)
+
+    def _known(
+        self,
+        model: BasisModel,
+        models: Sequence[ReferenceModel],
+        coordinates: Array,
+        usable: Sequence[int],
+        held_out: int | None = None,
+    ) -> dict[int, TrainingRun]:
+        """Return complete corrected training runs, one of them corrected by the others only."""
+        runs = {}
+        for k in usable:
+            point = self.points[k]
+            found = _with(coordinates[k], model.added(point, held_out=k == held_out))
+            if np.isfinite(found).all():
+                runs[k] = TrainingRun(
+                    models[k].polynomial,
+                    found,
+                    self.case.plan.kinematic_viscosity(point),
+                    models[k].amplitudes(self.times),
+                    point.factors,
+                )
+        return runs
 
     def _corrected_forces(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
