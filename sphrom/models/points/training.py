@@ -21,6 +21,7 @@ from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import COEFFICIENT
 from sphrom.metrics.series import smoothed
 from sphrom.models.points.basis_model import BasisModel, Start, forces_of, quantities_of
+from sphrom.models.points.pressures import report_pressure
 from sphrom.models.points.stored import (
     calibrated,
     cycle_closure,
@@ -32,18 +33,15 @@ from sphrom.models.points.stored import (
     stored_starts,
 )
 from sphrom.models.reference.stored import read_basis
-from sphrom.plots.tables import format_figure
 from sphrom.reduction.calibration import Calibration, TrainingRun
 from sphrom.reduction.correction import interpolated, learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
 from sphrom.reduction.own_pressure import (
-    CANDIDATES,
     JOINT,
     PressureSpace,
     choose,
-    expected_errors,
     fitted,
 )
 from sphrom.reduction.polynomial_model import Run
@@ -76,7 +74,7 @@ def trained_model(
     if any(model.problem is not None for model in models.values()):
         return None
     for name, model in models.items():
-        _report_pressure(model, name)
+        report_pressure(workspace, section.name, name, model.trained)
     with workspace.open(workspace.basis()) as artifact:
         return TrainedModel(
             bases={name: model.trained for name, model in models.items()},
@@ -100,20 +98,6 @@ def train(
     # Sums over arrays in this order have the bits of a model that is read from its artifact.
     model.trained = model.trained.mapped(np.ascontiguousarray)
     return model
-
-
-def _report_pressure(model: BasisModel, basis: str) -> None:
-    """Report the errors of all candidates for the pressure, and which of them was chosen."""
-    trained = model.trained
-    if (errors := trained.pressure_errors) is None:
-        return
-    (chosen,) = trained.pressure or (JOINT,)
-    expected = map(format_figure, 100.0 * expected_errors(errors, trained.places))
-    model.workspace.context.report.table(
-        f"pressure of {model.section.name}, basis {basis}: {chosen}, by held-out training runs",
-        ("pressure", "error [%]"),
-        list(zip(CANDIDATES, expected, strict=True)),
-    )
 
 
 class _Training:
