@@ -323,7 +323,8 @@ def best_size(errors: Array) -> int:
 def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indices, Array]:
     """Return the best number of integrated modes of models with 1, 2, ... modes (n_sizes,).
 
-    Return also the expected errors (n_sizes, 2). `runs` (n_runs, n_snapshots, n_integrated) are
+    It has the least error of the velocity: the modes' pressure may not be that of the model. Return
+    also the expected errors (n_sizes, 2). `runs` (n_runs, n_snapshots, n_integrated) are
     training runs, repeated by models that integrate 1, 2, ... modes. A single training run cannot
     predict coordinates at other parameters, so all modes are then integrated.
     """
@@ -332,6 +333,6 @@ def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indic
         tried = runs[0 if len(sizes.places) > 1 else n_modes - 1 : n_modes]
         by_integrated = {run.shape[2]: sizes.errors(n_modes, run) for run in tried}
         # Of equal ones, the most modes.
-        chosen.append(min(by_integrated, key=lambda n: (float(np.prod(by_integrated[n])), -n)))
+        chosen.append(min(by_integrated, key=lambda n: (float(by_integrated[n][0]), -n)))
         errors.append(by_integrated[chosen[-1]])
     return np.array(chosen), np.array(errors)
