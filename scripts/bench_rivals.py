@@ -3,12 +3,12 @@
 Trains on Taylor-Green, cavities and cylinders in a channel, predicts inside and outside of the
 trained values and beyond the trained time. Compares, in relative L2 over points and time on the
 reference points, sphrom's models, the best possible state, coordinates interpolated over the
-parameter, and what opinf (operator inference), ezyrb (radial basis functions, Gaussian processes)
-and pydmd (parametric dynamic modes) make of the same coordinates. These are installed from the
-package registry into an environment of their own. A second judge is a full run whose particles are
-arranged otherwise: packed from another seed, or on a lattice in other steps. Prints tables, and
-writes them as JSON and, for the documentation, as Markdown. Full runs are kept in --folder, where a
-second run finds them.
+parameter, and what opinf (operator inference), ezyrb (radial basis functions, Gaussian processes),
+pydmd (parametric dynamic modes) and pysindy (sparse identification) make of the same coordinates.
+These are installed from the package registry into an environment of their own. A second judge is a
+full run whose particles are arranged otherwise: packed from another seed, or on a lattice in other
+steps. Prints tables, and writes them as JSON and, for the documentation, as Markdown. Full runs are
+kept in --folder, where a second run finds them.
 
     python scripts/bench_rivals.py --environment /tmp/rivals
     python scripts/bench_rivals.py --scenes taylor-green --modes 5 10
@@ -56,7 +56,7 @@ Errors = tuple[float, float]
 """Relative L2 of velocity, and of pressure less its mean [%]."""
 
 PEER = Path(__file__).with_name("rival_models.py")
-PACKAGES = ("opinf", "ezyrb", "pydmd")
+PACKAGES = ("opinf", "ezyrb", "pydmd", "pysindy")
 SCENES: dict[str, dict[str, Any]] = {
     "taylor-green": {
         "discretization": {"resolution": 50, "smoothing_length_ratio": 2.0},

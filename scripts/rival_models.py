@@ -1,6 +1,6 @@
 """Reduced models that others offer, from the coordinates that `bench_rivals.py` writes.
 
-It runs in an environment of its own with opinf, ezyrb and pydmd. It reads training runs in
+It runs in an environment of its own with opinf, ezyrb, pydmd and pysindy. It reads training runs in
 generalized coordinates and writes predictions of each rival, with the seconds that it took to learn
 and to predict. Each rival chooses its own settings by leaving training runs out, where there are
 three or more, and otherwise by how well it repeats them.
@@ -24,6 +24,12 @@ Predict = Callable[[float], Array]
 
 REGULARIZERS = np.geomspace(1e-8, 1e2, 6)
 """Of operator inference: of the linear part and of the quadratic one, every pair of them."""
+THRESHOLDS = (0.0, 1e-3, 1e-2, 1e-1)
+"""Of sparse regression: coefficients below are zero, of states and values of order one."""
+RIDGES = np.geomspace(1e-8, 1e2, 6)
+"""Of sparse regression."""
+ESCAPED = 1e3
+"""Size of scaled states at which an integration ends as unstable."""
 SPREAD = 0.2
 """Of the training values over the time of a run, as regressions see them."""
 
@@ -80,6 +86,67 @@ def operator_inference(
         return missed if np.isfinite(missed) else np.inf
 
     best = min(itertools.product(REGULARIZERS, REGULARIZERS), key=error)
+    model = fitted(best)
+    return lambda place: predicted(model, place, starts[place], n_predicted)
+
+
+def sparse_dynamics(
+    places: Array, runs: Array, step: float, starts: dict[float, Array], n_predicted: int
+) -> Predict:
+    """Find few terms of rates that are quadratic in the state and linear in the parameter."""
+    import pysindy
+    from scipy.integrate import solve_ivp
+
+    scale, largest = np.abs(runs).max(axis=(0, 1)), np.abs(places).max()
+    states = list(runs / scale)
+    n_snapshots, n_modes = runs.shape[1:]
+    times = step * np.arange(n_snapshots)
+    values = [np.full((n_snapshots, 1), place / largest) for place in places]
+    rates = [np.gradient(each, times, axis=0) for each in states]
+
+    def fitted(settings: tuple[float, float]):
+        terms = pysindy.ParameterizedLibrary(
+            feature_library=pysindy.PolynomialLibrary(degree=2),
+            parameter_library=pysindy.PolynomialLibrary(degree=1),
+            num_features=n_modes,
+            num_parameters=1,
+        )
+        threshold, ridge = settings
+        optimizer = pysindy.STLSQ(threshold=threshold, alpha=ridge)
+        model = pysindy.SINDy(feature_library=terms, optimizer=optimizer)
+        return model.fit(states, t=times, x_dot=rates, u=values)
+
+    def predicted(model, place: float, start: Array, n: int) -> Array:
+        # Rates are quadratic: their values at some states are all coefficients, which are quicker.
+        unit = np.eye(n_modes)
+        first, second = np.triu_indices(n_modes, 1)
+        at = np.concatenate((0.0 * unit[:1], unit, -unit, unit[first] + unit[second]))
+        values = np.asarray(model.predict(at, u=np.full((len(at), 1), place / largest)))
+        constant, above, below, mixed = np.split(values, np.cumsum([1, n_modes, n_modes]))
+        linear, squares = 0.5 * (above - below), 0.5 * (above + below) - constant
+        mixed = mixed - constant - sum((linear + squares)[k] for k in (first, second))
+
+        def rate(_: float, state: Array) -> Array:
+            of_pairs = (state[first] * state[second]) @ mixed
+            return constant[0] + state @ linear + state**2 @ squares + of_pairs
+
+        def escaped(_: float, state: Array) -> float:
+            return ESCAPED - np.abs(state).max()
+
+        escaped.terminal = True
+        until = step * np.arange(n)
+        found = solve_ivp(rate, (0.0, until[-1]), start / scale, t_eval=until, events=escaped)
+        out = np.full((n, n_modes), np.nan)
+        out[: found.y.shape[1]] = found.y.T * scale
+        return out
+
+    def error(settings: tuple[float, float]) -> float:
+        model = fitted(settings)
+        found = [predicted(model, p, r[0], n_snapshots) for p, r in zip(places, runs, strict=True)]
+        missed = float(np.linalg.norm(np.array(found) - runs))
+        return missed if np.isfinite(missed) else np.inf
+
+    best = min(itertools.product(THRESHOLDS, RIDGES), key=error)
     model = fitted(best)
     return lambda place: predicted(model, place, starts[place], n_predicted)
 
@@ -146,6 +213,7 @@ def rivals(
     about = places, runs, step, starts, n_predicted
     yield "operator inference", lambda: operator_inference(*about, False)
     yield "discrete operator inference", lambda: operator_inference(*about, True)
+    yield "sparse identification", lambda: sparse_dynamics(*about)
     yield "radial basis functions", lambda: regression(places, runs, step, "rbf")
     yield "Gaussian process", lambda: regression(places, runs, step, "gpr")
     yield "parametric DMD", lambda: dynamic_modes(places, runs, step)

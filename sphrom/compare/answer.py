@@ -18,7 +18,13 @@ import numpy as np
 
 from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
-from sphrom.compare.comparison_tables import ErrorRow, EstimateRow, Tables
+from sphrom.compare.comparison_tables import (
+    SLOW_PRESSURE,
+    SOUND,
+    ErrorRow,
+    EstimateRow,
+    Tables,
+)
 from sphrom.compare.costs import N_REPEATS, RunTiming, break_even, offline_seconds
 from sphrom.compare.measured import MeasureRow, OscillationRow
 from sphrom.metrics.measures import ONLY_NOISE
@@ -33,6 +39,8 @@ ALIKE = 0.1
 """Relative difference below which errors of models are equal."""
 DIGITS = 2
 """Significant digits of the figures in a sentence."""
+LOUD = 0.5
+"""Share of sound in a pressure, over a model's error, from which the answer tells it."""
 ROLES = {
     "predicted": "which was not simulated for training",
     "extrapolated": "which was not simulated for training and lies outside of the trained values",
@@ -105,6 +113,7 @@ class Answer:
             f"{self.since}, relative to the full run, with pressures less their mean"
             f"{'' if self.surface is None else ' and their part at rest'}."
         )
+        yield from self._sound()
         yield from self._compared()
         if self.outside is not None:
             number, where, errors = self.outside
@@ -114,6 +123,15 @@ class Answer:
                 f"{percent(errors[0])} in velocity and {percent(errors[1])} in pressure."
             )
         yield from self._cost()
+
+    def _sound(self) -> Iterator[str]:
+        sound, slow = (self.row.errors.get(name) for name in (SOUND, SLOW_PRESSURE))
+        if sound is not None and slow is not None and sound > LOUD * self.error[1]:
+            yield (
+                f"Of the full run's pressure, {percent(sound)} is sound or particle noise, which "
+                "no model predicts; averaged over the period of the longest sound wave, the "
+                f"pressures differ by {percent(slow)}."
+            )
 
     def _compared(self) -> Iterator[str]:
         beside = {

@@ -54,6 +54,7 @@ WITHOUT_SOUND = tuple(
     for where in ("field", "line")
     for peak in ("", "_peak")
 )
+SLOW_PRESSURE, SOUND = "pressure_field_without_sound_relative_l2", "sound_in_pressure"
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,11 @@ class ErrorRow:
     role: str
     """`trained` at points of training runs, else `predicted`."""
     status: str
-    errors: Errors = field(metadata=columns((*ERRORS, *AT_END, *WITHOUT_SOUND), "%"))
-    """Errors by name; `_end` means at the last time, `_without_sound` averaged over sound."""
+    errors: Errors = field(metadata=columns((*ERRORS, *AT_END, *WITHOUT_SOUND, SOUND), "%"))
+    """Errors by name; `_end` means at the last time, `_without_sound` averaged over sound.
+
+    `sound_in_pressure` is the share of the reference's pressure that these averages remove.
+    """
 
     @property
     def in_field(self) -> tuple[float, float] | None:
@@ -155,13 +159,14 @@ def error_row(
     history: History, status: str = "complete", n_modes: int | None = None, **described: str
 ) -> ErrorRow:
     """Return the row of a comparison from its history; `described` are other fields of the row."""
-    errors = dict[str, float | None].fromkeys((*ERRORS, *AT_END, *WITHOUT_SOUND))
+    errors = dict[str, float | None].fromkeys((*ERRORS, *AT_END, *WITHOUT_SOUND, SOUND))
     if status == "complete" and len(history.time):
         errors |= errors_of(history)
         for name, quantity in zip(AT_END, QUANTITIES, strict=True):
             errors[name] = float(history.places[f"{quantity}_field"].relative_l2[-1])
         for place, series in history.without_sound.items():
             errors |= norms_of(f"{place}_without_sound", series)
+        errors[SOUND] = history.sound
     return ErrorRow(**described, n_modes=n_modes, status=status, errors=errors)
 
 
@@ -266,9 +271,10 @@ NORMS: tuple[str, tuple[Column, ...]] = (
         ("", lambda r: r["role"] if r["status"] == "complete" else r["status"]),
         ("velocity, field", _norm("velocity_field_relative_l2")),
         ("pressure, field", _norm("pressure_field_relative_l2")),
+        ("without sound", _norm(SLOW_PRESSURE)),
+        ("share of sound", SOUND),
         ("velocity, line", _norm("velocity_line_relative_l2")),
         ("pressure, line", _norm("pressure_line_relative_l2")),
-        ("line, without sound", _norm("pressure_line_without_sound_relative_l2")),
     ),
 )
 ESTIMATES: tuple[str, tuple[Column, ...]] = (

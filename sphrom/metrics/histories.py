@@ -120,6 +120,12 @@ class History:
     the instants with a complete window. The sound of a weakly compressible model is not part of the
     flow, and no small basis represents it. Empty unless requested, and for runs that are too short.
     """
+    sound: float | None = None
+    """Share [%] of the reference's pressure over the field that these averages remove.
+
+    It is sound, particle noise, and what else changes within the period. None without averages, or
+    if snapshots are too far apart to tell.
+    """
 
 
 def compare(
@@ -148,13 +154,15 @@ def compare(
         f"velocity_{name}": _series([v[:, where] for v in velocities], speeds, probes, where)
         for name, where in _parts(probes)
     }
-    without_sound = {}
+    without_sound: dict[str, Series] = {}
+    sound = None
     if sound_period is not None:
-        without_sound = _without_sound(run, reference, probes, kept, sound_period)
+        without_sound, sound = _without_sound(run, reference, probes, kept, sound_period)
     return History(
         time=reference.time[kept],
         places=places | _pressure_series(pressures, probes),
         without_sound=without_sound,
+        sound=sound,
     )
 
 
@@ -202,19 +210,31 @@ def _series(
 
 def _without_sound(
     run: Samples, reference: Samples, probes: Probes, kept: NDArray[np.int64], sound_period: float
-) -> dict[str, Series]:
-    """Return the errors without sound, at the kept instants with a complete window."""
+) -> tuple[dict[str, Series], float | None]:
+    """Return the errors without sound, at the kept instants with a complete window.
+
+    Return also the share [%] of the reference's pressure that is sound.
+    """
     n_half = len(reference.time) + 1
     if len(reference.time) > 1:
         n_half = max(1, round(sound_period / float(np.diff(reference.time).mean())))
     centres = kept - (n_half - 1)
-    centres = centres[(centres >= 0) & (kept + n_half <= len(reference.time))]
-    if not len(centres):
-        return {}
+    complete = (centres >= 0) & (kept + n_half <= len(reference.time))
+    if not complete.any():
+        return {}, None
     weights = hat(n_half)
-    averages = [moving_average(p, weights)[centres] for p in (run.pressure, reference.pressure)]
+    pressures = run.pressure, reference.pressure
+    averages = [moving_average(p, weights)[centres[complete]] for p in pressures]
     varies = _varies(averages[1], probes)
-    return _pressure_series([each[varies] for each in averages], probes) if varies.any() else {}
+    if not varies.any():
+        return {}, None
+    slow = [each[varies] for each in averages]
+    sound = None
+    if n_half > 1:
+        whole = reference.pressure[kept[complete][varies]]
+        parts = _fluctuations((slow[1], whole), probes.on_grid)
+        sound = float(relative_l2(*parts, field_axes=3))
+    return _pressure_series(slow, probes), sound
 
 
 Errors = Mapping[str, float | None]

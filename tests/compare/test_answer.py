@@ -6,7 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from sphrom.compare.answer import Answer, _by_preference
-from sphrom.compare.comparison_tables import ErrorRow, Tables
+from sphrom.compare.comparison_tables import SLOW_PRESSURE, SOUND, ErrorRow, Tables
 from sphrom.compare.costs import RunTiming, taking_turns
 from sphrom.compare.measured import MeasureRow
 from sphrom.metrics.histories import NO_ERRORS
@@ -38,6 +38,17 @@ def test_it_says_how_far_off_how_fast_and_when_it_pays() -> None:
     spread = replace(TIMING, least_speed_up=9.1e3, greatest_speed_up=1.23e4)
     several = "10,000 (9,100 to 12,000 over 5 repeats) times as long"
     assert several in told(replace(ANSWER, timing=spread))
+
+
+def test_it_tells_a_pressure_error_that_is_sound() -> None:
+    def with_sound(sound: float | None) -> str:
+        errors = {**NO_ERRORS, SOUND: sound, SLOW_PRESSURE: 0.4}
+        return told(replace(ANSWER, row=replace(ANSWER.row, errors=errors)))
+
+    assert "1.8 % is sound or particle noise" in with_sound(1.8)
+    assert "the pressures differ by 0.40 %" in with_sound(1.8)
+    for quiet in (with_sound(0.9), with_sound(None), told(ANSWER)):
+        assert "sound" not in quiet
 
 
 def test_nothing_is_divided_by_the_seconds_that_an_import_states() -> None:

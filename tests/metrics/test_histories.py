@@ -88,7 +88,7 @@ def test_an_unstable_run_has_no_figures(cavity):
     history = compare(_samples(cavity), _samples(cavity), cavity, 0.0)
     lost = flat(error_row(history, **NAMES, status="unstable"))
     figures = {k: v for k, v in lost.items() if "_" in k and k != "n_modes"}
-    assert len(figures) == 30
+    assert len(figures) == 31
     assert set(figures.values()) == {None}
 
 
@@ -125,6 +125,18 @@ def test_sound_is_no_error_of_the_pressure_without_sound_but_the_flow_is(cavity,
         pairs = [(found.eq41[name], values) for name, values in expected.eq41.items()]
         for each, values in [(found.relative_l2, expected.relative_l2), *pairs]:
             np.testing.assert_allclose(each, values[0], rtol=1e-7, atol=1e-10)
+
+
+def test_share_of_sound_is_that_of_the_reference(cavity):
+    steady, loud = _loud(cavity, 0.0), _loud(cavity, 0.3)
+    fluctuations = [p - p.mean(axis=1, keepdims=True) for p in (
+        steady.pressure[3:-3, cavity.on_grid], loud.pressure[3:-3, cavity.on_grid])]  # fmt: skip
+    added = np.linalg.norm(fluctuations[1] - fluctuations[0])
+    expected = 100.0 * added / np.linalg.norm(fluctuations[1])
+    assert compare(steady, loud, cavity, 0.0, PERIOD).sound == pytest.approx(expected, rel=1e-6)
+    assert compare(loud, steady, cavity, 0.0, PERIOD).sound == pytest.approx(0.0, abs=1e-6)
+    # Snapshots a period apart cannot tell sound from flow.
+    assert compare(loud, loud, cavity, 0.0, 0.05).sound is None
 
 
 def test_pressure_without_sounds_need_the_whole_window(cavity):
