@@ -232,13 +232,13 @@ def output_errors(
     finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
     known = differences[finite]
     slow = np.stack([smoothed(run, averages) for run in known])
-    begin, late = slice(int(LEFT_OUT * known.shape[1])), slice(int(LEFT_OUT * known.shape[1]), None)
+    late = int(LEFT_OUT * known.shape[1])
     # The sound that a start emits is the same in all runs.
-    slow[:, begin] = known[:, begin]
+    slow[:, :late] = known[:, :late]
     around = hat(1 + known.shape[1] // N_PARTS)
     noise = smoothed(np.mean((known - slow) ** 2, axis=0), around)
-    of_field = float(np.mean(fields[finite][:, late] ** 2))
-    within = np.mean(slow[:, late] ** 2, axis=(0, 1)) / (of_field if of_field > 0.0 else np.inf)
+    of_field = float(np.mean(fields[finite][:, late:] ** 2))
+    within = np.mean(slow[:, late:] ** 2, axis=(0, 1)) / (of_field if of_field > 0.0 else np.inf)
     return OutputErrors(noise, within + missed**2)
 
 

@@ -195,9 +195,12 @@ def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> Un
     for run in range(n_runs if half < per_run else 0):
         expected = np.zeros((len(products.states), per_run - half))
         expected[snapshots[run, half - 1]] = 1.0
-        halves = snapshots[:, :half].ravel(), snapshots[run, half:]
-        time[run] = _shares(products, *halves, expected, n_modes)
-    parameters = [_shares(products, *run, n_modes) for run in _runs_left_out(products, places)]
+        early = snapshots[:, :half].ravel()
+        time[run] = _shares(products, early, snapshots[run, half:], expected, n_modes)
+    parameters = [
+        _shares(products, trained, left_out, expected, n_modes)
+        for trained, left_out, expected in _runs_left_out(products, places)
+    ]
     if not parameters:
         return UnheldShares(parameters=UNTRIED * time.max(axis=0), time=time)
     return UnheldShares(parameters=np.max(parameters, axis=0), time=time)
@@ -217,7 +220,8 @@ def output_shares(
     fields : (n_outputs,) zero for the velocity, one for q.
     places : as in `unheld_shares`.
     """
-    missed, of_fields = np.zeros((n_modes, outputs.shape[1])), np.zeros((n_modes, 3))
+    missed = np.zeros((n_modes, outputs.shape[1]))
+    of_fields = np.zeros((n_modes, 3))
     for trained, left_out, _ in _runs_left_out(products, places):
         for known, sign in ((trained, 1.0), (np.arange(len(outputs)), -1.0)):
             modes, coordinates = _approximation(products.states, known, left_out, n_modes)

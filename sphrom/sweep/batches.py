@@ -138,7 +138,9 @@ class SweptModel:
         rows: list[dict[str, Any]] = []
         for each in self._fast.trained_differences(points):
             errors = dict(zip(OVER_TIME, each.fields.T, strict=True))
-            at_once = {n: {q: v[None] for q, v in m.items()} for n, m in each.missed.items()}
+            at_once: dict[str, Quantities] = {
+                n: {q: v[None] for q, v in m.items()} for n, m in each.missed.items()
+            }
             missed = {f"{MISSED}{path}": v for path, v in _kept(at_once).items()}
             rows.append(_kept(each.measured) | errors | missed)
         return rows

@@ -309,14 +309,21 @@ class BasisModel:
 
     @cached_property
     def missed(self) -> dict[str, Quantities]:
-        """What the basis misses of measurements, over its field's error (...) [m/s, Pa]."""
+        """What the basis misses of measurements, over its field's error (...) [m/s, Pa].
+
+        Operators that were stored before have no shares; nothing is missed then.
+        """
         if self.errors is None:
             return {}
-        found: dict[str, Quantities] = {
-            name: {q: share[0] / self.errors.units[field_of(q)] for q, share in own.items()}
-            for name, shares in self.errors.outputs.items()
-            if (own := shares.quantities)
-        }
+        found: dict[str, Quantities] = {}
+        for name, each in self.errors.differences.items():
+            shares = self.errors.outputs[name].quantities if name in self.errors.outputs else {}
+            found[name] = {
+                q: shares[q][0] / self.errors.units[field_of(q)]
+                if q in shares
+                else np.zeros(values.shape[2:])
+                for q, values in each.quantities.items()
+            }
         return with_coefficients(found, self.workspace.case.plan.coefficients)
 
     @cached_property
@@ -326,7 +333,8 @@ class BasisModel:
         assert self.errors.held_out is not None
         errors = self.errors.held_out.errors * self.errors.units
         n_snapshots = self.errors.held_out.coordinates.shape[1]
-        known, every = compared_snapshots(n_snapshots), np.arange(n_snapshots)
+        known = compared_snapshots(n_snapshots)
+        every = np.arange(n_snapshots)
         each = [[np.interp(every, known, field) for field in run.T] for run in errors]
         return np.array(each).transpose(0, 2, 1)
 

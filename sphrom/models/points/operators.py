@@ -134,7 +134,8 @@ class _Projection:
         runs = None
         if self.name in self.case.plan.corrected_bases:
             runs = training_runs(self.workspace, self.basis, self.name)
-        forces, measures = self._wall_forces(), self._measures()
+        forces = self._wall_forces()
+        measures = self._measures()
         residual, estimate = self._error_data(forces, measures)
         chosen = self._held_out(runs, estimate)
         stored = BasisOperators(

@@ -368,8 +368,8 @@ class _Training:
             },
             units=np.array([1.0, scale]),
         )
-        # Of velocity, and of the pressure in the modes that the model uses.
-        fields = [0, 2 if trained.pressure else 1]
+        # Of velocity, and of the pressure in the modes that the model uses: own ones are the last.
+        fields = [0, -1 if trained.pressure else 1]
         held_out, own, residuals, known = [], [], [], []
         for k, (point, reduced) in enumerate(zip(self.points, models, strict=True)):
             corrected = model.corrected(reduced, point, held_out=True)
