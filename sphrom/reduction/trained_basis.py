@@ -115,6 +115,11 @@ class TrainedForce(Record):
     projected: ReducedForce = part()
     correction: Correction | None = part(default=None)
     on_cycles: CycleLoads | None = part(default=None)
+    pressure_errors: Array | None = dataset(
+        "pressure_candidate run load", "1",
+        "errors in held-out training runs, with the joint pressure or the balance of momentum, and "
+        "with own pressure modes; over the root mean square of the load in all runs", default=None,
+    )  # fmt: skip
 
 
 class HeldOutRuns(Record):

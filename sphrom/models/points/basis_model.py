@@ -319,10 +319,8 @@ class BasisModel:
         for name, each in self.errors.differences.items():
             shares = self.errors.outputs[name].quantities if name in self.errors.outputs else {}
             found[name] = {
-                q: shares[q][0] / self.errors.units[field_of(q)]
-                if q in shares
-                else np.zeros(values.shape[2:])
-                for q, values in each.quantities.items()
+                q: shares.get(q, np.zeros_like(e[0, :1]))[0] / self.errors.units[field_of(q)]
+                for q, e in each.quantities.items()
             }
         return with_coefficients(found, self.workspace.case.plan.coefficients)
 
@@ -406,7 +404,11 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
 
 
 def forces_of(
-    reduced: ReferenceModel, time: Array, coordinates: Array, mean: Array | float | None = None
+    reduced: ReferenceModel,
+    time: Array,
+    coordinates: Array,
+    mean: Array | float | None = None,
+    own: Array | None = None,
 ) -> dict[str, Array]:
     """Return the forces and torques (n_states, 2, 3) of states [N/m, N], by measurement.
 
@@ -415,13 +417,16 @@ def forces_of(
     time : (n_states,) [s].
     coordinates : (n_states, n_modes).
     mean : separate density fluctuation [kg/m3], (n_states,) or one; by default the model's own.
+    own : (n_states, n_own_modes) of own pressure modes; by default as the model has them.
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
     if not reduced.forces:
         return {}
     amplitude = reduced.amplitudes(time)
     rates = reduced.polynomial.along(coordinates, amplitude)
-    states = time, coordinates, rates, amplitude, mean
+    if own is None and any(force.own is not None for force in reduced.forces.values()):
+        own = reduced.with_pressure(time, coordinates)[:, coordinates.shape[1] :]
+    states = time, coordinates, rates, amplitude, mean, own
     return {name: force.at(*states) for name, force in reduced.forces.items()}
 
 
@@ -431,12 +436,15 @@ def quantities_of(
     time: Array,
     coordinates: Array,
     mean: Array | float | None = None,
+    own: Array | None = None,
 ) -> dict[str, Quantities]:
     """Return all measurements (n_states, ...) of a case or model, for states as in `forces_of`."""
     mean = reduced.mean_density_fluctuation if mean is None else mean
-    forces = forces_of(reduced, time, coordinates, mean)
+    if own is None:
+        own = reduced.with_pressure(time, coordinates)[:, coordinates.shape[1] :]
+    forces = forces_of(reduced, time, coordinates, mean, own)
     measured = {name: totals(loads) for name, loads in forces.items()}
     if reduced.measures:
-        measured |= reduced.measured(reduced.with_pressure(time, coordinates), mean)
+        measured |= reduced.measured(np.hstack((coordinates, own)), mean)
     ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
     return with_coefficients(ordered, case.plan.coefficients)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -80,7 +81,7 @@ def _direct_loads(
     for k, (point, viscosity) in enumerate(zip(trained, viscosities, strict=True)):
         amplitude = amplitude_of(case, point)
         pushes = np.zeros(len(times)) if amplitude is None else amplitude(times)
-        local = force.at(viscosity, driven, point.factors)
+        local = replace(force, own=None).at(viscosity, driven, point.factors)
         mean = means.reshape(len(trained), -1)[k]
         loads = force.training_loads[k, compared] - local.at(times, still, still, pushes, mean)
         found.append(loads[:, 0] + loads[:, 1] * viscosities[0] / viscosity)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 
@@ -56,6 +57,7 @@ from sphrom.reduction.operator_projection import (
     project_operators,
     residual_factor,
 )
+from sphrom.reduction.own_pressure import PressureSpace
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import (
@@ -112,10 +114,11 @@ class _Projection:
         self.compared = compared_snapshots(self.case.plan.steps.n_snapshots)
         self.whole = self.basis
         self.pressure_splines = None
-        self.pressures = pressure_space(
-            workspace, points, name, self.basis, self.splines, self.compared
-        )
-        if self.pressures is not None:
+        self.pressures: PressureSpace | None = None
+        self.pressure_modes: Array | None = None
+        found = pressure_space(workspace, points, name, self.basis, self.splines, self.compared)
+        if found is not None:
+            self.pressures, self.pressure_modes = found
             self.whole = with_pressures(self.basis, self.pressures.modes)
             columns = np.ascontiguousarray(self.pressures.modes.T)
             self.pressure_splines = fit(
@@ -201,7 +204,9 @@ class _Projection:
         )
         for measured, (wall, circulations) in walls.items():
             balance = tested[names[measured]], self.splines
-            force = project_forces(self.points, self.basis, wall, circulations, balance)
+            force = project_forces(
+                self.points, self.basis, wall, circulations, balance, self.pressure_modes
+            )
             forces[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
         self._report_balance(forces, {name: wall.arm for name, (wall, _) in walls.items()})
         return forces
@@ -228,7 +233,7 @@ class _Projection:
                 pushes = np.zeros(len(times)) if amplitude is None else amplitude(times)
                 # The change of momentum is that of the snapshots, not of a model.
                 change = np.gradient(states[k], times, axis=0)
-                local = force.at(viscosity, driven, point.factors)
+                local = replace(force, own=None).at(viscosity, driven, point.factors)
                 found = local.at(times, states[k], change, pushes).sum(axis=1)
                 recorded = force.training_loads[k].sum(axis=1)
                 recorded, found = (smoothed(x, averages)[late] for x in (recorded, found))

@@ -24,8 +24,8 @@ def pressure_space(
     basis: TrialBasis,
     splines: ModeSplines,
     compared: Indices,
-) -> PressureSpace | None:
-    """Return the modes of training pressures and their balance of momentum.
+) -> tuple[PressureSpace, Array] | None:
+    """Return the space of training pressures, and all its modes q (n_pressure_modes, n_points).
 
     None with a single training run, which leaves none to choose a pressure by, and in the paper's
     inner product.
@@ -57,9 +57,10 @@ def pressure_space(
             pressures = pressure_of(densities[first : first + N_AT_ONCE])
             coordinates.append((pressures * weights) @ modes.T)
             squares.append(pressures**2 @ weights)
-    return PressureSpace(
+    space = PressureSpace(
         **vars(project_pressure(points, basis, splines, modes)),
         modes=modes[: basis.n_modes],
         coordinates=np.concatenate(coordinates).reshape(n_runs, -1, len(modes)),
         squares=np.concatenate(squares).reshape(n_runs, -1),
     )
+    return space, modes

@@ -19,8 +19,8 @@ from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import COEFFICIENT
-from sphrom.metrics.series import smoothed
-from sphrom.models.points.basis_model import BasisModel, Start, forces_of, quantities_of
+from sphrom.models.points.basis_model import BasisModel, Start, quantities_of
+from sphrom.models.points.force_training import ForceTraining, report_forces
 from sphrom.models.points.stored import (
     calibrated,
     cycle_closure,
@@ -34,7 +34,7 @@ from sphrom.models.points.stored import (
 from sphrom.models.reference.stored import read_basis
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.calibration import Calibration, TrainingRun
-from sphrom.reduction.correction import interpolated, learn_correction
+from sphrom.reduction.correction import learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
@@ -61,7 +61,7 @@ from sphrom.reduction.trained_basis import (
     TrainedRates,
 )
 from sphrom.reduction.trial_basis import truncate
-from sphrom.setup.assembly import scaled_parameters, sound_averages
+from sphrom.setup.assembly import scaled_parameters
 from sphrom.store.workspace import Workspace
 
 
@@ -77,6 +77,7 @@ def trained_model(
         return None
     for name, model in models.items():
         _report_pressure(model, name)
+        report_forces(model, name)
     with workspace.open(workspace.basis()) as artifact:
         return TrainedModel(
             bases={name: model.trained for name, model in models.items()},
@@ -196,10 +197,14 @@ class _Training:
             groups = np.split(self.modes, [self._n_integrated()])
             learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
             trained = replace(trained, correction=learnt)
+        own: dict[int, Array] = {}
         if self.stored.pressure is not None and not self.section.settles_on_cycles:
-            trained = self._with_own_pressure(trained, models, coordinates, self.stored.pressure)
+            trained, own = self._with_own_pressure(
+                trained, models, coordinates, self.stored.pressure
+            )
         if not self.section.settles_on_cycles:
-            trained = replace(trained, forces=self._corrected_forces(trained, models, coordinates))
+            training = ForceTraining(self._with, models, coordinates, self.stored.wall_force, own)
+            trained = replace(trained, forces=training.forces(trained))
         if self.case.plan.has_error_estimate(self.name):
             trained = replace(trained, errors=self._errors(trained, models, coordinates))
         return self._with(trained)
@@ -274,7 +279,8 @@ class _Training:
                 )
                 on_cycles = CycleLoads(real=harmonics.real, imaginary=harmonics.imag)
             forces[measured] = TrainedForce(
-                projected=ReducedForce.of(force).of_modes(self.modes), on_cycles=on_cycles
+                projected=replace(ReducedForce.of(force).of_modes(self.modes), own=None),
+                on_cycles=on_cycles,
             )
         return forces
 
@@ -291,8 +297,11 @@ class _Training:
         models: Sequence[ReferenceModel],
         coordinates: Array,
         stored: PressureSpace,
-    ) -> TrainedBasis:
-        """Return the model with the pressure that is the best one in held-out training runs."""
+    ) -> tuple[TrainedBasis, dict[int, Array]]:
+        """Return the model with the pressure that is the best one in held-out training runs.
+
+        Its own modes have coordinates (n_snapshots, n_pressure_modes) there, by number of the run.
+        """
         model = self._with(trained)
         space = stored.of_modes(self.modes)
         runs: dict[int, TrainingRun] = {}
@@ -310,40 +319,16 @@ class _Training:
             found = _with(coordinates[k], model.added(point, held_out=True))
             predicted[k] = replace(runs[k], coordinates=found)
         if len(runs) < 2:
-            return trained
-        chosen, errors = choose(space, runs, predicted, trained.places)
+            return trained, {}
+        chosen, errors, held_out = choose(space, runs, predicted, trained.places)
         trained = replace(trained, pressure_errors=errors)
         if chosen == JOINT:
-            return trained
+            return trained, {}
         base = np.eye(len(space.modes), len(space.gradients))
         own = fitted(space, base, chosen, runs, trained.places)
         pressure = {chosen: replace(own, modes=space.modes)}
-        return replace(trained, pressure=pressure, measures=self._measures(self.with_own))
-
-    def _corrected_forces(
-        self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
-    ) -> dict[str, TrainedForce]:
-        """Return the forces with the corrections by their errors in training runs."""
-        model = self._with(trained)
-        modelled = []
-        for point, reduced, run in zip(self.points, models, coordinates, strict=True):
-            forces = {name: model.force_at(name, point) for name in trained.forces}
-            states = _with(run, model.added(point))
-            modelled.append(forces_of(replace(reduced, forces=forces), self.times, states))
-        places = trained.places
-        weights = sound_averages(self.case)
-        found = {}
-        for name, force in trained.forces.items():
-            recorded = self.stored.wall_force[name].training_loads
-            defects = recorded - np.stack([forces[name] for forces in modelled])
-            defects = defects.reshape(*defects.shape[:2], -1)
-            slow = np.stack([smoothed(defect, weights) for defect in defects])
-            # Sound and particle noise may differ from run to run.
-            parts = np.concatenate((slow, defects - slow), axis=2)
-            each_load = list(np.arange(parts.shape[2])[:, None])
-            correction = interpolated(places, parts, each_load)
-            found[name] = replace(force, correction=correction)
-        return found
+        trained = replace(trained, pressure=pressure, measures=self._measures(self.with_own))
+        return trained, held_out
 
     def _errors(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
