@@ -376,8 +376,14 @@ class _Training:
         errors = TrainedErrors(
             factor=factor.of_model(whole, self.modes),
             products=products,
+            outputs={
+                name: shares.mapped(lambda share: share[self.modes[-1:]])
+                for name, shares in estimate.outputs.items()
+            },
             units=np.array([1.0, scale]),
         )
+        # Of velocity, and of the pressure in the modes that the model uses: own ones are the last.
+        fields = [0, -1 if trained.pressure else 1]
         held_out, own, residuals, known = [], [], [], []
         for k, (point, reduced) in enumerate(zip(self.points, models, strict=True)):
             corrected = model.corrected(reduced, point, held_out=True)
@@ -395,7 +401,7 @@ class _Training:
             np.stack(known),
             compared,
             trained.places,
-            estimate.unheld.mapped(lambda shares: shares[..., self.section.size - 1, :]),
+            estimate.unheld.mapped(lambda shares: shares[..., self.modes[-1], fields]),
         )
         complete = [k for k, (_, run) in enumerate(held_out) if np.isfinite(run).all()]
         if not complete:
