@@ -177,6 +177,8 @@ class Answer:
                     parts.append(f"{words}: {ONLY_NOISE} in the full run, the difference is {off}")
                     continue
                 errors = {
+                    "without sound": row.without_sound if row.sound else None,
+                    "share of sound": row.sound,
                     "nearest state": nearest.get((name, row.quantity)),
                     "estimate": row.estimated,
                 }

@@ -38,7 +38,7 @@ from sphrom.metrics.series import exponential_rate
 from sphrom.models.contract import Limit, basis_used, family_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.scenes.flows import TaylorGreen
-from sphrom.setup.assembly import role_of
+from sphrom.setup.assembly import role_of, sound_averages
 from sphrom.setup.context import StageContext
 from sphrom.store.stored_run import probes_of
 from sphrom.store.trajectory import measured_of, require_complete
@@ -203,6 +203,7 @@ class _PointComparison:
             lambda name: max(since, plan.means_from.get(name, plan.settled_from)),
             estimates or {},
             with_weight=plan.with_weight,
+            averages=sound_averages(self.case),
             n_modes=run.n_modes,
             **self._described(run),
         ):

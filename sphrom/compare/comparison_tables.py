@@ -303,6 +303,8 @@ MEASURES: tuple[str, tuple[Column, ...]] = (
         ("least", "least"),
         ("greatest", "greatest"),
         ("error", _component_error),
+        ("without sound", "without_sound"),
+        ("share of sound", "sound"),
         ("estimated", "estimated"),
         ("vector", "vector_relative_l2"),
         ("estimated", "vector_estimated"),

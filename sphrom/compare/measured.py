@@ -33,7 +33,12 @@ from sphrom.metrics.measures import (
     with_coefficients,
 )
 from sphrom.metrics.quantities import MEASURABLE, components, parts
-from sphrom.metrics.series import NO_OSCILLATION, dominant_frequency, kinetic_energy
+from sphrom.metrics.series import (
+    NO_OSCILLATION,
+    dominant_frequency,
+    kinetic_energy,
+    smoothed,
+)
 from sphrom.models.contract import Measured
 from sphrom.models.stored_run import StoredRun
 
@@ -63,6 +68,10 @@ class MeasureRow:
     change in the full run; None for a component with only noise."""
     relative_l2_peak: float | None = field(metadata={"unit": "%"})
     """The same at the worst time."""
+    without_sound: float | None = field(metadata={"unit": "%"})
+    """The error of averages over a period of the longest sound wave, over the same change."""
+    sound: float | None = field(metadata={"unit": "%"})
+    """The part of the full run that these averages remove, over the same change."""
     estimated: float | None = field(metadata={"unit": "%"})
     """The model's own estimate of `relative_l2`."""
     from_time: float = field(metadata={"unit": "s"})
@@ -94,6 +103,7 @@ def measure_rows(
     estimates: Mapping[str, Any],
     *,
     with_weight: bool,
+    averages: Array,
     **described: Any,
 ) -> Iterator[MeasureRow]:
     """Yield the rows of a run beside the full run at times (n_snapshots,) [s].
@@ -101,6 +111,7 @@ def measure_rows(
     `from_time` returns the first time that counts [s], by measurement. `described` are other fields
     of the rows. Estimated errors are root mean squares over time (...), by measurement and
     quantity. With `with_weight`, errors of pressures are not relative to their hydrostatic part.
+    `averages` are weights of an average over snapshots without sound.
     """
     for measured, quantities in own.items():
         begin = from_time(measured)
@@ -108,7 +119,8 @@ def measure_rows(
         pressure = quantities.get("pressure", np.ones(1)) if with_weight else np.ones(1)
         remark = DRY if (pressure == 0.0).any() else ""
         for quantity, values in quantities.items():
-            reference, found = full[measured][quantity][counted], values[counted]
+            true = full[measured][quantity]
+            reference, found = true[counted], values[counted]
             sizes = variations(quantity, reference, with_weight=with_weight)
             expected = estimates.get(measured, {}).get(quantity)
             estimated = {} if expected is None else shares(mean_squares(quantity, expected), sizes)
@@ -117,6 +129,10 @@ def measure_rows(
             errors: dict[str, Pair] = dict.fromkeys(sizes, (None, None))
             if own is not full:
                 errors = {n: errors_of(n, mine[n], others[n], size) for n, size in sizes.items()}
+            slow, fast = (
+                shares(mean_squares(quantity, each[counted]), sizes)
+                for each in (smoothed(values - true, averages), true - smoothed(true, averages))
+            )
             for component, part in components(quantity, found).items():
                 other, vector = others[component], "" if component == quantity else quantity
                 off = None if own is full else math.sqrt(mean_square(component, part - other))
@@ -131,6 +147,8 @@ def measure_rows(
                     greatest=float(part.max()),
                     relative_l2=errors[component][0],
                     relative_l2_peak=errors[component][1],
+                    without_sound=None if own is full else slow[component],
+                    sound=fast[component],
                     estimated=estimated.get(component),
                     vector_relative_l2=errors[vector][0] if vector else None,
                     vector_estimated=estimated.get(vector),

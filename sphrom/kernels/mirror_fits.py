@@ -1,18 +1,21 @@
 """Linear fits of the fluid's fields around the mirror points of ghosts, which continue them there.
 
-A ghost at x_g has its mirror point m_g in the fluid. The fit weighs the fluid by the kernel around
-m_g, and its value at x_g is sum_j W(m_g - x_j) (a_g + b_g . (x_j - m_g)) f_j. Offsets are over the
-smoothing length h, and W is the kernel times h^2, so that a_g and b_g have no units. `source` is
-laid out as in `sphrom.kernels.fields`.
+Offsets o from a mirror point are over the smoothing length h, and W is the kernel times h^2, so
+that moments have no units. With M = sum_j W (1, o_j)(1, o_j)^T, the fit of a field f has the value
+and the slope M^-1 sum_j W (1, o_j) f_j there. Ghosts that share a mirror point share its fit.
+`source` is laid out as in `sphrom.kernels.fields`.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
 from numba import prange
 
 from sphrom.arrays import Array, Indices
-from sphrom.kernels.cells import Search
-from sphrom.kernels.fields import VOLUME, X, vector_at
+from sphrom.kernels.cells import Search, range_in_row
+from sphrom.kernels.fields import X, vector_at
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.pairs import kernel_of
 from sphrom.kernels.sums import over_rows
@@ -24,6 +27,19 @@ LEAST_SPREAD = 1e-3
 """Determinant of the covariance, over h^4, below which fluid is too sparse for a slope."""
 
 
+class Mirrors(NamedTuple):
+    """Mirror points, and the ghosts that share them."""
+
+    place: Array
+    """(2, n_mirrors) [m], for `transposed` in ascending order of y."""
+    start: Indices
+    """(n_mirrors + 1,) the first of each point's ghosts."""
+    ghost: Indices
+    """(n_ghosts,) the ghosts, point by point."""
+    way: Array
+    """(2, n_ghosts) from a ghost's mirror point to the ghost, over h."""
+
+
 @term
 def _moment_row(
     total: Sums,
@@ -31,20 +47,26 @@ def _moment_row(
     target: None,
     source: Array,
     columns: slice,
-    given: None,
+    values: Array,
     inverse_length: float,
 ) -> Sums:
     places = vector_at(source, X, columns)
-    s = sx = sy = sxx = sxy = syy = 0.0
-    for k in range(places[0].size):
+    some = values[columns]
+    s = sx = sy = sxx = sxy = syy = f = fx = fy = 0.0
+    for k in range(some.size):
         ox, oy = times(inverse_length, minus(element(places, k), place))
         w = kernel_of((ox, oy), 1.0)
+        wx = w * ox
+        wy = w * oy
         s += w
-        sx += w * ox
-        sy += w * oy
-        sxx += w * ox * ox
-        sxy += w * ox * oy
-        syy += w * oy * oy
+        sx += wx
+        sy += wy
+        sxx += wx * ox
+        sxy += wx * oy
+        syy += wy * oy
+        f += w * some[k]
+        fx += wx * some[k]
+        fy += wy * some[k]
     return (
         total[0] + s,
         total[1] + sx,
@@ -52,26 +74,52 @@ def _moment_row(
         total[3] + sxx,
         total[4] + sxy,
         total[5] + syy,
+        total[6] + f,
+        total[7] + fx,
+        total[8] + fy,
     )
 
 
+@term
+def _solved(inverse: Array, sums: Sums) -> Sums:
+    """Return the product of M^-1, as in `fits`, and three sums."""
+    f, fx, fy = sums
+    return (
+        inverse[0] * f + inverse[1] * fx + inverse[2] * fy,
+        inverse[1] * f + inverse[3] * fx + inverse[4] * fy,
+        inverse[2] * f + inverse[4] * fx + inverse[5] * fy,
+    )
+
+
+@term
+def _continue(fit: Sums, mirrors: Mirrors, i: int, out: Array) -> None:
+    """Set the values (n_ghosts,) at the ghosts of mirror point i."""
+    value, slope_x, slope_y = fit
+    for ghost in mirrors.ghost[mirrors.start[i] : mirrors.start[i + 1]]:
+        out[ghost] = value + slope_x * mirrors.way[0, ghost] + slope_y * mirrors.way[1, ghost]
+
+
 @parallel
-def mirror_fits(mirror: Array, way: Array, source: Array, search: Search, out: Array) -> None:
-    """Compute the coefficients of the fits.
+def fits(
+    mirrors: Mirrors, source: Array, values: Array, search: Search, inverse: Array, out: Array
+) -> None:
+    """Compute the inverse moments, and the values of a field at ghosts.
 
     Where the fluid is too sparse for a slope, the fit is its mean; without fluid it is zero.
 
     Parameters
     ----------
-    mirror : (2, n_ghosts) mirror points [m].
-    way : (2, n_ghosts) from there to the ghosts [m].
-    out : (3, n_ghosts) a, b_x, b_y.
+    values : (n_sources,) of the fluid.
+    inverse : (6, n_mirrors) M^-1: its first row, then xx, xy, yy.
+    out : (n_ghosts,)
     """
-    for i in prange(mirror.shape[1]):
-        zeros = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        sums = over_rows(_moment_row, zeros, vector_at(mirror, 0, i), None, source, search, None)
-        s, sx, sy, sxx, sxy, syy = sums
-        a = bx = by = 0.0
+    for i in prange(inverse.shape[1]):
+        zeros = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        sums = over_rows(
+            _moment_row, zeros, vector_at(mirrors.place, 0, i), None, source, search, values
+        )
+        s, sx, sy, sxx, sxy, syy, f, fx, fy = sums
+        inverse[:, i] = 0.0
         if s > 0.0:
             mean_x = sx / s
             mean_y = sy / s
@@ -80,83 +128,93 @@ def mirror_fits(mirror: Array, way: Array, source: Array, search: Search, out: A
             yy = syy / s - mean_y * mean_y
             spread = xx * yy - xy * xy
             if spread > LEAST_SPREAD:
-                ex = way[0, i] * search.inverse_length - mean_x
-                ey = way[1, i] * search.inverse_length - mean_y
-                bx = (yy * ex - xy * ey) / (spread * s)
-                by = (xx * ey - xy * ex) / (spread * s)
-            a = 1.0 / s - bx * mean_x - by * mean_y
-        out[0, i] = a
-        out[1, i] = bx
-        out[2, i] = by
+                inverse[1, i] = (xy * mean_y - yy * mean_x) / (spread * s)
+                inverse[2, i] = (xy * mean_x - xx * mean_y) / (spread * s)
+                inverse[3, i] = yy / (spread * s)
+                inverse[4, i] = -xy / (spread * s)
+                inverse[5, i] = xx / (spread * s)
+            inverse[0, i] = 1.0 / s - inverse[1, i] * mean_x - inverse[2, i] * mean_y
+        _continue(_solved(inverse[:, i], (f, fx, fy)), mirrors, i, out)
 
 
 @term
-def _continued_row(
-    total: float,
-    place: Vector,
-    target: Vector,
-    source: Array,
-    columns: slice,
-    values: Array,
-    inverse_length: float,
-) -> float:
-    places = vector_at(source, X, columns)
-    some = values[columns]
-    a, bx, by = target
-    value = 0.0
-    for k in range(some.size):
-        ox, oy = times(inverse_length, minus(element(places, k), place))
-        value += kernel_of((ox, oy), 1.0) * (a + bx * ox + by * oy) * some[k]
-    return total + value
-
-
-@parallel
-def continued(
-    mirror: Array, fits: Array, source: Array, values: Array, search: Search, out: Array
-) -> None:
-    """Compute the values (n_ghosts,) at ghosts of some values (n_sources,) of the fluid."""
-    for i in prange(mirror.shape[1]):
-        fit = fits[0, i], fits[1, i], fits[2, i]
-        place = vector_at(mirror, 0, i)
-        out[i] = over_rows(_continued_row, 0.0, place, fit, source, search, values)
-
-
-@term
-def _returned_row(
-    total: float,
+def _value_row(
+    total: Sums,
     place: Vector,
     target: None,
     source: Array,
     columns: slice,
-    given: None,
+    values: Array,
     inverse_length: float,
-) -> float:
-    places = vector_at(source, 0, columns)
-    a = source[2, columns]
-    bx = source[3, columns]
-    by = source[4, columns]
-    value = 0.0
-    for k in range(a.size):
-        ox, oy = times(inverse_length, minus(place, element(places, k)))
-        value += kernel_of((ox, oy), 1.0) * (a[k] + bx[k] * ox + by[k] * oy)
-    return total + value
+) -> Sums:
+    places = vector_at(source, X, columns)
+    some = values[columns]
+    f = fx = fy = 0.0
+    for k in range(some.size):
+        ox, oy = times(inverse_length, minus(element(places, k), place))
+        w = kernel_of((ox, oy), 1.0) * some[k]
+        f += w
+        fx += w * ox
+        fy += w * oy
+    return total[0] + f, total[1] + fx, total[2] + fy
 
 
 @parallel
-def give_back(
-    particle: Indices, targets: Indices, source: Array, mirrored: Array, search: Search, out: Array
+def fits_again(
+    mirrors: Mirrors, inverse: Array, source: Array, values: Array, search: Search, out: Array
 ) -> None:
-    """Subtract the transposed continuation of some quantity of ghosts from the fluid, per volume.
+    """Compute the values (n_ghosts,) of another field, with the inverse moments of `fits`."""
+    for i in prange(inverse.shape[1]):
+        zeros = (0.0, 0.0, 0.0)
+        sums = over_rows(
+            _value_row, zeros, vector_at(mirrors.place, 0, i), None, source, search, values
+        )
+        _continue(_solved(inverse[:, i], sums), mirrors, i, out)
+
+
+@term
+def _spread(place: Vector, fit: Sums, places: Vector, inverse_length: float, out: Array) -> None:
+    a, bx, by = fit
+    for k in range(out.size):
+        ox, oy = times(inverse_length, minus(element(places, k), place))
+        out[k] += kernel_of((ox, oy), 1.0) * (a + bx * ox + by * oy)
+
+
+@term
+def _gathered(given: Array, mirrors: Mirrors, i: int) -> Sums:
+    """Return the sums of a quantity (n_ghosts,) and its moments over the ghosts of point i."""
+    f = fx = fy = 0.0
+    for ghost in mirrors.ghost[mirrors.start[i] : mirrors.start[i + 1]]:
+        f += given[ghost]
+        fx += given[ghost] * mirrors.way[0, ghost]
+        fy += given[ghost] * mirrors.way[1, ghost]
+    return f, fx, fy
+
+
+@parallel
+def transposed(
+    mirrors: Mirrors, inverse: Array, given: Array, source: Array, search: Search, out: Array
+) -> None:
+    """Compute the transposed product of the fits and some quantity of ghosts.
+
+    Rows of cells are independent, because each source is in one of them.
 
     Parameters
     ----------
-    particle, targets : (n_sources,), (n_targets,) as in `fields.BesideWalls`.
-    mirrored : (5, n_mirrored) the sorted mirror points [m], and their fits times the quantity.
-    search : the cells of the mirror points.
-    out : (n_particles,) [1/s] for a quantity in [m2/s].
+    given : (n_ghosts,)
+    out : (n_sources,)
     """
-    for t in prange(targets.size):
-        j = targets[t]
-        place = vector_at(source, X, j)
-        value = over_rows(_returned_row, 0.0, place, None, mirrored, search, None)
-        out[particle[j]] -= value / source[VOLUME, j]
+    for row in prange(search.n_rows):
+        start = search.cell_start[row * search.n_columns]
+        end = search.cell_start[(row + 1) * search.n_columns]
+        out[start:end] = 0.0
+        south = search.y_origin + row * search.cell_height
+        north = south + search.cell_height
+        first = np.searchsorted(mirrors.place[1], south - search.reach)
+        last = np.searchsorted(mirrors.place[1], north + search.reach)
+        for i in range(first, last):
+            x, y = vector_at(mirrors.place, 0, i)
+            low, high = range_in_row(x, y, row, search)
+            places = vector_at(source, X, slice(low, high))
+            fit = _solved(inverse[:, i], _gathered(given, mirrors, i))
+            _spread((x, y), fit, places, search.inverse_length, out[low:high])

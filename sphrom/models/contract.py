@@ -262,15 +262,24 @@ class Model(ABC, Generic[At]):
         """Return the regime of the flow at a parameter point, one of REGIMES; None if unknown."""
         return None
 
-    def trained_differences(
-        self, points: Sequence[ParameterPoint]
-    ) -> list[tuple[Array, dict[str, Quantities]]]:
-        """Return the places and the errors of training runs, for the bases of models at points.
+    def trained_differences(self, points: Sequence[ParameterPoint]) -> list[TrainedDifferences]:
+        """Return the errors of training runs, for the bases of models at points.
 
-        The errors are measurements of full runs less those of the model. The list is empty if
-        there are no estimates of errors.
+        The list is empty if there are no estimates of errors.
         """
         return []
+
+
+@dataclass(frozen=True)
+class TrainedDifferences:
+    """The errors of a training run that a model predicts from the others."""
+
+    measured: dict[str, Quantities]
+    """(n_snapshots, ...) measurements of the full run less those of the model."""
+    fields: Array
+    """(n_snapshots, 2) root mean square errors of velocity [m/s] and pressure [Pa]."""
+    missed: dict[str, Quantities]
+    """(...) what the basis misses of measurements, over the error of their field."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,6 +26,9 @@ from sphrom.store.stored_run import sample_run
 from sphrom.store.trajectory import read_quantities, snapshot_fields
 from sphrom.store.workspace import Workspace
 
+OWN_PRESSURE = "pressure_coordinates"
+"""The coordinates of own pressure modes in a run's artifact, if its model has any."""
+
 
 class StoredRun:
     """A run of the full model, or of a model on particles, in an open artifact."""

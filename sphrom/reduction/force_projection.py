@@ -33,6 +33,7 @@ def project_forces(
     wall: MeasuredWall,
     circulations: Mapping[str, float] = NONE,
     balance: tuple[StokesFields, ModeSplines | None] | None = None,
+    pressure_modes: Array | None = None,
 ) -> ReducedForce:
     """Project the force on a wall onto a basis.
 
@@ -41,6 +42,7 @@ def project_forces(
     circulations : of the wall velocity per unit of each driving parameter [m2/s].
     balance : the Stokes flows of the wall's motions and the splines of the modes, to project the
         balance of momentum too.
+    pressure_modes : q (n_pressure_modes, n_points) [m/s], which a model may own.
     """
     terms = _TermFields(points, basis)
 
@@ -63,6 +65,10 @@ def project_forces(
             return None
         return points.particle_mass * np.einsum("lnd,dn->l", balance[0].value, force)
 
+    own = None
+    if pressure_modes is not None:
+        columns = np.ascontiguousarray(pressure_modes.T)
+        own = wall.loads(points.ghost_pressures(columns, np.zeros((2, *columns.shape))))
     drives = {}
     for name, drive in points.drives.items():
         walls = None
@@ -74,6 +80,7 @@ def project_forces(
         viscous=wall.loads(points.ghost_friction(terms.velocity)),
         walls=drag(points.ghost_drag, wall.circulation),
         body_force=heads(points.body_force),
+        own=own,
         balance=None
         if balance is None
         else _balance(points, basis, *balance, push(points.body_force)),

@@ -216,23 +216,25 @@ def fitted(
 
 
 def choose(
-    space: PressureSpace,
-    runs: Mapping[int, TrainingRun],
-    predicted: Mapping[int, TrainingRun],
-    places: Array,
-) -> tuple[str, Array]:
+    space: PressureSpace, predicted: Mapping[int, Mapping[int, TrainingRun]], places: Array
+) -> tuple[str, Array, dict[int, Array]]:
     """Return the best candidate, and the relative errors (n_candidates, n_runs) of all.
+
+    The third result has the coordinates (n_snapshots, n_pressure_modes) of the best candidate's own
+    modes in the predicted runs.
 
     Errors are root mean squares over a training run that was held out, and large where it diverged.
 
     Parameters
     ----------
-    runs : the model's training runs by number, which have the coordinates of full runs.
-    predicted : the same, predicted by the other runs.
+    predicted : all training runs, by the number of the one that the others predict. Those have
+        the coordinates of full runs.
     places : (n_runs, n_parameters), scaled so that distances are comparable.
     """
     errors = np.full((len(CANDIDATES), len(places)), DIVERGED)
-    for k, run in predicted.items():
+    added: dict[str, dict[int, Array]] = {candidate: {} for candidate in CANDIDATES}
+    for k, runs in predicted.items():
+        run = runs[k]
         others = {j: other for j, other in runs.items() if j != k}
         known = space.coordinates[list(others)].reshape(-1, len(space.gradients))
         own = np.linalg.svd(known, full_matrices=False)[2][: len(space.modes)]
@@ -242,20 +244,21 @@ def choose(
             found = pressure.along(run)
             if pressure.correction is not None:
                 found += pressure.correction.at(places[k])
-            missed = space.coordinates[k] - run.coordinates @ space.joint - found @ own
+            added[candidate][k] = found @ own
+            missed = space.coordinates[k] - run.coordinates @ space.joint - added[candidate][k]
             square = max(0.0, outside) + np.sum(missed**2)
             errors[row, k] = np.sqrt(square / space.squares[k].sum())
     expected = expected_errors(errors, places)
-    best = int(np.flatnonzero(expected <= ALIKE * expected.min() + NEGLIGIBLE)[0])
-    return CANDIDATES[best], errors
+    best = CANDIDATES[int(np.flatnonzero(expected <= ALIKE * expected.min() + NEGLIGIBLE)[0])]
+    return best, errors, added[best]
 
 
 def expected_errors(errors: Array, places: Array) -> Array:
-    """Return the root mean square error (n_candidates,) over the runs that decide.
+    """Return the root mean square error (n_candidates, ...) over the runs that decide.
 
     These are the runs that others surround in the parameters, or all of them if there is none.
-    Parameters: as returned by and given to `choose`.
+    Parameters: as returned by and given to `choose`; errors may have more axes.
     """
-    complete = np.flatnonzero(errors[0] < DIVERGED)
+    complete = np.flatnonzero(errors[0].reshape(len(places), -1)[:, 0] < DIVERGED)
     inside = np.intersect1d(complete, surrounded(places))
     return np.sqrt(np.mean(errors[:, inside if len(inside) else complete] ** 2, axis=1))

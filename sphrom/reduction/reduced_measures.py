@@ -17,6 +17,9 @@ ghosts of fields at fixed points (`sphrom.sph.fixed_points`), linear in the stat
 
     pressure: P z + beta(t) B z,    viscous: nu (V z + s w).
 
+A model with pressure modes of its own (`sphrom.reduction.own_pressure`) may add their forces on
+ghosts to P z; `sphrom.reduction.force_choice` decides this for each component.
+
 The difference from the recorded forces of training runs is interpolated between them
 (`sphrom.reduction.correction`) and added; `docs/forces.md` explains how.
 
@@ -32,7 +35,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.arrays import Array, Indices
+from sphrom.arrays import Array, Indices, Mask
 from sphrom.declaration import Record, Tensors, dataset, part
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import FROM_FIELDS, stored
@@ -88,6 +91,10 @@ class ReducedForce(Record):
     body_force: Array | None = dataset(
         "load term", _LOADS + FORCE, "by the heads of the body force at walls", "B", default=None
     )
+    own: Array | None = dataset(
+        "load pressure_mode", "N/m, N of the torque, of the modes", "by own pressure modes",
+        default=None,
+    )  # fmt: skip
     balance: MomentumBalance | None = part(default=None)
     drives: Mapping[str, DriveForce] = part(default_factory=dict)
 
@@ -95,11 +102,22 @@ class ReducedForce(Record):
         """Return the force in the coordinates of some modes."""
         kept = _kept_terms(modes)
         loads = np.arange(3)
-        direct = replace(self, balance=None).mapped(lambda x: x if x.ndim == 1 else x[:, kept])
+        bare = replace(self, balance=None, own=None)
+        direct = replace(bare.mapped(lambda x: x if x.ndim == 1 else x[:, kept]), own=self.own)
         if self.balance is None:
             return direct
         few = self.balance.mapped(lambda x: x[np.ix_(loads, *[modes] * (x.ndim - 1))])
         return replace(direct, balance=few)
+
+    def with_own(self, modes: Array, loads: Mask) -> ReducedForce:
+        """Return the force with some `loads` (3,) on ghosts, by own pressure modes too.
+
+        `modes` are their factors (3, n_own_modes).
+        """
+        balance = self.balance
+        if balance is not None:
+            balance = replace(balance, follows=np.where(loads, 0, balance.follows))
+        return replace(self, own=modes * loads[:, None], balance=balance)
 
     def at(
         self,
@@ -128,7 +146,7 @@ class ReducedForce(Record):
             for terms, *quadratic in (steady, driven)
         )
         uniform = np.stack((steady[0][:, 1], driven[0][:, 1]))
-        return PointForce(Polynomial(powers), momentum, uniform, correction)
+        return PointForce(Polynomial(powers), momentum, uniform, correction, self.own)
 
     @property
     def n_modes(self) -> int:
@@ -209,6 +227,8 @@ class PointForce:
     uniform: Array
     """(2, 6) factors of the mean density fluctuation: alone, times the amplitude [m3/s2, m4/s2]."""
     correction: TimedLoads | None = None
+    own: Array | None = None
+    """(3, n_own_modes) factors of the coordinates of own pressure modes, if they add loads."""
 
     def at(
         self,
@@ -217,6 +237,7 @@ class PointForce:
         rates: Array,
         amplitude: Array,
         mean: Array | float = 0.0,
+        own: Array | None = None,
     ) -> Array:
         """Return the pressure and the viscous force and torque (n_states, 2, 3) [N/m, N].
 
@@ -225,10 +246,15 @@ class PointForce:
         time, amplitude : (n_states,) time [s], amplitude of the body force or of driven walls.
         coordinates, rates : (n_states, n_modes) coordinates and their rates [1/s].
         mean : separate density fluctuation [kg/m3], (n_states,) or one for all.
+        own : (n_states, n_own_modes) coordinates of own pressure modes, if they add loads; those of
+            the last modes may be left out.
         """
         loads = self.polynomial.along(coordinates, amplitude) + rates @ self.momentum.T
         by_mean = self.uniform[0] + amplitude[:, None] * self.uniform[1]
         loads += np.broadcast_to(mean, amplitude.shape)[:, None] * by_mean
+        if self.own is not None:
+            assert own is not None
+            loads[:, :3] += own @ self.own[:, : own.shape[1]].T
         if self.correction is not None:
             loads += self.correction.at(time)
         return loads.reshape(-1, 2, 3)

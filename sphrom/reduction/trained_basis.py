@@ -24,7 +24,7 @@ from sphrom.metrics.quantities import FROM_FIELDS, OF_WALLS, stored
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import PLACES, Correction
 from sphrom.reduction.error_calibration import ErrorCalibration
-from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.held_out import FieldProducts, OutputShares
 from sphrom.reduction.limit_cycles import CycleClosure, Harmonics, TrainedCycles
 from sphrom.reduction.own_pressure import OwnPressure
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
@@ -115,6 +115,11 @@ class TrainedForce(Record):
     projected: ReducedForce = part()
     correction: Correction | None = part(default=None)
     on_cycles: CycleLoads | None = part(default=None)
+    pressure_errors: Array | None = dataset(
+        "pressure_candidate run load", "1",
+        "errors in held-out training runs, with the joint pressure or the balance of momentum, and "
+        "with own pressure modes; over the root mean square of the load in all runs", default=None,
+    )  # fmt: skip
 
 
 class HeldOutRuns(Record):
@@ -152,6 +157,8 @@ class TrainedErrors(Record):
     held_out: HeldOutRuns | None = part(default=None)
     """None if all of them diverge."""
     differences: Mapping[str, Differences] = part(default_factory=dict)
+    outputs: Mapping[str, OutputShares] = part(default_factory=dict)
+    """Those of the model's number of modes alone."""
     units: Array = dataset("field", "m/s, Pa", "units of the errors of velocity and pressure")
 
 

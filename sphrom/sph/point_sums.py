@@ -197,8 +197,14 @@ def mirror_matrix(
     near = sort_sources(
         np.ascontiguousarray(position.T), domain, reach, discretization.particle_spacing
     )
-    fits = np.empty((3, mirror.shape[1]))
-    mirror_fits.mirror_fits(mirror, way, near.place, near.search(reach, length), fits)
+    n = mirror.shape[1]
+    x, y = way / length
+    mirrors = mirror_fits.Mirrors(mirror, np.arange(n + 1), np.arange(n), way / length)
+    inverse = np.empty((6, n))
+    values_of_x = np.empty(n)
+    search = near.search(reach, length)
+    mirror_fits.fits(mirrors, near.place, near.place[0], search, inverse, values_of_x)
+    fits = inverse[:3] + inverse[[1, 3, 4]] * x + inverse[[2, 4, 5]] * y
     blocks = []
     for pairs in _pair_blocks(mirror.T, position, domain, discretization):
         x, y = -pairs.offset / length

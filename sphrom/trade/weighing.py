@@ -359,8 +359,12 @@ def recommend(
         text += f"no model is better than {beaten[0].beaten_by}, which is as fast"
     else:
         faster = [row for row in rows[1:] if row.beaten_by is None]
-        text += "there is only the case's own full run; the least error of faster ones is in "
-        text += " and in ".join(_best(faster, q, measure) for q in measure.quantities)
+        least = [_best(faster, q, measure) for q in measure.quantities]
+        text += "there is only the case's own full run; "
+        if any(least):
+            text += f"the least error of faster ones is in {' and in '.join(filter(None, least))}"
+        else:
+            text += "each other one is unstable, or no more accurate than one that is as fast"
     if enough:
         text += f"; without a model, {enough[0]} is within the tolerance, too"
     return advice, text
@@ -375,8 +379,11 @@ def _cheapest(rows: Sequence[ModelRow], used: Mapping[str, float]) -> ModelRow |
 
 
 def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:
+    """Return the least error of a quantity in words; nothing if all are unknown."""
     pairs = [(e, row.model) for row in rows if (e := measure.of(row.errors, quantity)) is not None]
-    error, model = min(pairs, default=(None, "no run"))
+    if not pairs:
+        return ""
+    error, model = min(pairs)
     return f"{quantity.replace('_', ' ')} that of {model}, {format_figure(error)} %"
 
 

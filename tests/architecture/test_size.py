@@ -9,9 +9,9 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 298_400, 237
+TOKENS, MODULES = 302_300, 239
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
-TEST_LINES = 28_550
+TEST_LINES = 28_650
 LARGEST_SHARE = 0.16
 """Of a package's tokens in all."""
 LONGEST = 450

@@ -71,6 +71,7 @@ def test_it_says_how_far_off_measured_forces_are() -> None:
         "unit": "N/m", "compared": "fast", "parameters": "", "n_modes": 5, "role": "", "mean": 0.0,
         "from_time": 2.0, "least": 0.0, "greatest": 0.0, "vector_relative_l2": 9.7, "remark": "",
         "relative_l2_peak": None, "vector_estimated": None, "rms_error": 49.0,
+        "without_sound": 0.9, "sound": 1.3,
     }  # fmt: skip
     along = MeasureRow("drag", "force_x", relative_l2=1.5, estimated=8.0, **parts)
     parts["remark"] = "only noise"
@@ -78,7 +79,8 @@ def test_it_says_how_far_off_measured_forces_are() -> None:
     best = (replace(along, relative_l2=0.87),)
     text = told(replace(ANSWER, loads=(along, across), nearest_loads=best, times="late: drag"))
     assert "Late: drag. The measured force (drag) differs over time, as a vector by 9.7 %, " in text
-    assert "force x by 1.5 % (nearest state 0.87 %, estimate 8.0 %); force y: only noise " in text
+    assert "force x by 1.5 % (without sound 0.90 %, share of sound 1.3 %, nearest " in text
+    assert " nearest state 0.87 %, estimate 8.0 %); force y: only noise " in text
     assert "in the full run, the difference is 49 N/m." in text
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sphrom.models.points.force_training import chosen_loads
 from sphrom.reduction.force_projection import project_forces
+from sphrom.reduction.held_out import DIVERGED
 from sphrom.reduction.reduced_measures import TimedLoads
 from sphrom.reduction.stokes_fields import StokesFields
 from sphrom.sph.functional import MeasuredWall
@@ -85,6 +87,39 @@ def test_with_a_stokes_flow_the_whole_force_is_the_balance_of_momentum(settings,
     balanced = points.fluid.reference_density * SPACING**2 * integrand.sum(axis=1)
     wanted[0, [0, 2]] = balanced[[0, 2]] - wanted[1, [0, 2]]
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_own_pressure_modes_replace_the_balance_of_momentum_in_some_loads(settings) -> None:
+    setting = settings["forced"]
+    points, basis, n = setting.points, setting.basis, setting.points.n_points
+    tested = StokesFields(
+        np.ones(3, dtype=bool), RANDOM.standard_normal((3, n, 2)), np.zeros((3, n, 2, 2))
+    )
+    wall, modes = a_wall(points.ghost_drag.shape[1]), RANDOM.standard_normal((4, n))
+    balance = tested, setting.splines
+    force = project_forces(points, basis, wall, balance=balance, pressure_modes=modes)
+    assert force.own is not None
+    state, own = setting.coordinates[None], RANDOM.standard_normal((1, 3))  # without the last mode
+    about = TIMES[:1], state, state, AMPLITUDES[:1], MEAN
+    loads = np.array([False, True, True])
+    found = force.with_own(force.own, loads).at(NU).at(*about, own=own)[0]
+    balanced = project_forces(points, basis, wall, balance=balance).at(NU).at(*about)[0]
+    summed = project_forces(points, basis, wall).at(NU).at(*about)[0]
+    pressure = own @ modes[:3]
+    added = wall.loads(points.ghost_pressures(pressure.T, np.zeros((2, n, 1))))[:, 0]
+    wanted = np.where(loads, summed + np.stack((added, np.zeros(3))), balanced)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-11 * np.abs(wanted).max())
+
+
+def test_own_pressure_modes_are_chosen_for_the_loads_that_they_improve_clearly() -> None:
+    places = np.arange(4.0)[:, None]
+    joint = np.full((4, 3), 0.2)
+    own = joint * [0.1, 0.9, 1.5]
+    own[0], own[3] = 9.0, 0.0  # outside of the others, so that they do not count
+    assert chosen_loads(np.stack((joint, own)), places).tolist() == [True, False, False]
+    own[2] = DIVERGED
+    joint[2] = DIVERGED
+    assert chosen_loads(np.stack((joint, own)), places).tolist() == [True, False, False]
 
 
 def test_what_training_runs_add_keeps_its_later_mean_after_them() -> None:

@@ -10,7 +10,7 @@ import pytest
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Samples
 from sphrom.models.reference.limits import sample_best
-from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, reconstruct
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, reconstruct, with_pressures
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.store.stored_run import probes_of, sample_run
 
@@ -80,14 +80,18 @@ def test_best_approximations_are_of_states_and_of_each_field() -> None:
         gram_error=0.0,
         inner_product=inner,
     )
-    splines = SimpleNamespace(values=lambda points: np.moveaxis(states, 0, 1))
     case = SimpleNamespace(plan=SimpleNamespace(sound_speed=10.0))
     probes = SimpleNamespace(all=np.zeros((2, 2)))
 
-    def best_of(density: np.ndarray, velocity: np.ndarray) -> tuple[Samples, Samples]:
+    def best_of(
+        density: np.ndarray, velocity: np.ndarray, whole: TrialBasis = basis
+    ) -> tuple[Samples, Samples]:
         data = {"density_fluctuation": density[None], "velocity": velocity[None]}
         mapped = SimpleNamespace(dataset=data.get, read=lambda _: np.zeros(1))
-        return sample_best(case, mapped, basis, splines, probes)
+        n_all = len(whole.density_modes)
+        modes = np.zeros((2, n_all, 3))
+        modes[..., 0], modes[..., 1:] = whole.density_modes.T, whole.velocity_modes.swapaxes(0, 1)
+        return sample_best(case, mapped, whole, lambda _: modes, probes, 3)
 
     one, other = (reconstruct(basis, np.array(c), 0.0) for c in ((1.0, 2.0, 3.0), (-2.0, 0.5, 1.0)))
     for state in best_of(*one):
@@ -95,6 +99,14 @@ def test_best_approximations_are_of_states_and_of_each_field() -> None:
         np.testing.assert_allclose(state.velocity[0], one[1], rtol=1e-9)
     _, alone = best_of(one[0], other[1])
     np.testing.assert_allclose(alone.pressure[0], 100.0 * one[0], rtol=1e-9)
+    np.testing.assert_allclose(alone.velocity[0], other[1], rtol=1e-9)
+    # Pressure modes of its own represent any pressure, and change no velocity.
+    both, alone = best_of(one[0], other[1], with_pressures(basis, np.eye(2)))
+    joint, _ = best_of(one[0], other[1])
+    for state in (both, alone):
+        np.testing.assert_allclose(state.pressure[0], 100.0 * one[0], rtol=1e-9)
+    np.testing.assert_allclose(both.velocity, joint.velocity, rtol=1e-9)
+    assert np.abs(joint.pressure[0] - 100.0 * one[0]).max() > 1.0
     np.testing.assert_allclose(alone.velocity[0], other[1], rtol=1e-9)
 
 

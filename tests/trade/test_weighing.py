@@ -101,6 +101,13 @@ def test_a_model_that_is_worse_than_a_training_run_is_not_recommended():
     assert said.endswith(f"without a model, {NEAREST} is within the tolerance, too")
     _, advice, said = advised(rows, without, 1.5, 3.0)
     assert (advice["model"], advice["without_a_model"]) == ("good", None)
+    _, _, said = advised(rows, without, 0.5, 0.5)
+    assert said.endswith(
+        "faster ones is in velocity that of good, 1.00 % and in pressure that of good, 2.00 %"
+    )
+    for others in ([rows[1]], [model("unstable", None, NO_ERRORS)]):
+        _, advice, said = advised([rows[0], *others], without, 0.5, 0.5)
+        assert said.endswith("is unstable, or no more accurate than one that is as fast")
 
 
 def test_a_model_pays_from_some_run_on():

@@ -25,6 +25,8 @@ from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import (
     LocalErrorCalibration,
     OutputErrors,
+    compared_snapshots,
+    field_of,
     output_errors,
 )
 from sphrom.reduction.limit_cycles import CycleClosure
@@ -306,14 +308,45 @@ class BasisModel:
         return with_coefficients(stored, self.workspace.case.plan.coefficients)
 
     @cached_property
+    def missed(self) -> dict[str, Quantities]:
+        """What the basis misses of measurements, over its field's error (...) [m/s, Pa].
+
+        Operators that were stored before have no shares; nothing is missed then.
+        """
+        if self.errors is None:
+            return {}
+        found: dict[str, Quantities] = {}
+        for name, each in self.errors.differences.items():
+            shares = self.errors.outputs[name].quantities if name in self.errors.outputs else {}
+            found[name] = {
+                q: shares.get(q, np.zeros_like(e[0, :1]))[0] / self.errors.units[field_of(q)]
+                for q, e in each.quantities.items()
+            }
+        return with_coefficients(found, self.workspace.case.plan.coefficients)
+
+    @cached_property
+    def field_errors(self) -> Array:
+        """(n_held_out, n_snapshots, 2) errors of velocity and pressure in those runs [m/s, Pa]."""
+        assert self.errors is not None
+        assert self.errors.held_out is not None
+        errors = self.errors.held_out.errors * self.errors.units
+        n_snapshots = self.errors.held_out.coordinates.shape[1]
+        known = compared_snapshots(n_snapshots)
+        every = np.arange(n_snapshots)
+        each = [[np.interp(every, known, field) for field in run.T] for run in errors]
+        return np.array(each).transpose(0, 2, 1)
+
+    @cached_property
     def output_errors(self) -> dict[str, dict[str, OutputErrors]]:
         """The errors of any run by measurement and quantity, from held-out training runs."""
-        if self.errors is None or (known := self.errors.held_out) is None:
-            return {}
         averages = sound_averages(self.workspace.case)
-        places = self.places[known.run]
         return {
-            name: {q: output_errors(e, places, averages) for q, e in each.items()}
+            name: {
+                q: output_errors(
+                    e, self.field_errors[..., field_of(q)], self.missed[name][q], averages
+                )
+                for q, e in each.items()
+            }
             for name, each in self.differences.items()
         }
 
@@ -371,7 +404,11 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
 
 
 def forces_of(
-    reduced: ReferenceModel, time: Array, coordinates: Array, mean: Array | float | None = None
+    reduced: ReferenceModel,
+    time: Array,
+    coordinates: Array,
+    mean: Array | float | None = None,
+    own: Array | None = None,
 ) -> dict[str, Array]:
     """Return the forces and torques (n_states, 2, 3) of states [N/m, N], by measurement.
 
@@ -380,13 +417,16 @@ def forces_of(
     time : (n_states,) [s].
     coordinates : (n_states, n_modes).
     mean : separate density fluctuation [kg/m3], (n_states,) or one; by default the model's own.
+    own : (n_states, n_own_modes) of own pressure modes; by default as the model has them.
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
     if not reduced.forces:
         return {}
     amplitude = reduced.amplitudes(time)
     rates = reduced.polynomial.along(coordinates, amplitude)
-    states = time, coordinates, rates, amplitude, mean
+    if own is None and any(force.own is not None for force in reduced.forces.values()):
+        own = reduced.with_pressure(time, coordinates)[:, coordinates.shape[1] :]
+    states = time, coordinates, rates, amplitude, mean, own
     return {name: force.at(*states) for name, force in reduced.forces.items()}
 
 
@@ -396,12 +436,15 @@ def quantities_of(
     time: Array,
     coordinates: Array,
     mean: Array | float | None = None,
+    own: Array | None = None,
 ) -> dict[str, Quantities]:
     """Return all measurements (n_states, ...) of a case or model, for states as in `forces_of`."""
     mean = reduced.mean_density_fluctuation if mean is None else mean
-    forces = forces_of(reduced, time, coordinates, mean)
+    if own is None:
+        own = reduced.with_pressure(time, coordinates)[:, coordinates.shape[1] :]
+    forces = forces_of(reduced, time, coordinates, mean, own)
     measured = {name: totals(loads) for name, loads in forces.items()}
     if reduced.measures:
-        measured |= reduced.measured(reduced.with_pressure(time, coordinates), mean)
+        measured |= reduced.measured(np.hstack((coordinates, own)), mean)
     ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
     return with_coefficients(ordered, case.plan.coefficients)

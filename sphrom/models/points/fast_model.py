@@ -22,7 +22,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
 from sphrom.metrics.series import UNDECIDED
-from sphrom.models.contract import Model, ModelRun
+from sphrom.models.contract import Model, ModelRun, TrainedDifferences
 from sphrom.models.points.basis_model import BasisModel, quantities_of
 from sphrom.models.points.error_estimates import (
     ErrorEstimate,
@@ -177,21 +177,19 @@ class FastModel(Model[ReferenceModel]):
         """Return the measurements of states (n_states, n_modes) at times (n_states,) [s]."""
         return quantities_of(self.workspace.case, reduced, time, coordinates)
 
-    def trained_differences(
-        self, points: Sequence[ParameterPoint]
-    ) -> list[tuple[Array, dict[str, Quantities]]]:
-        """Return the places and the errors of training runs, for the bases of models at points.
+    def trained_differences(self, points: Sequence[ParameterPoint]) -> list[TrainedDifferences]:
+        """Return the errors of training runs, for the bases of models at points.
 
-        The errors are measurements of full runs less those of the model. The list is empty if the
-        case has no error estimates.
+        The list is empty if the case has no error estimates.
         """
         bases = [self.on_basis(name) for name in dict.fromkeys(map(self.basis_at, points))]
         found = []
         for basis in bases:
             if (errors := basis.errors) is None:
                 return []
-            for row, k in enumerate(() if errors.held_out is None else errors.held_out.run):
-                found.append((basis.places[k], items(basis.differences, row)))
+            for row in range(0 if errors.held_out is None else len(errors.held_out.run)):
+                differences = items(basis.differences, row)
+                found.append(TrainedDifferences(differences, basis.field_errors[row], basis.missed))
         return found
 
     def velocities(self, run: FastRun) -> ModeVelocities:

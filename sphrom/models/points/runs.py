@@ -31,14 +31,14 @@ from sphrom.models.points.error_estimates import (
     steady_errors,
 )
 from sphrom.models.points.fast_model import FastModel, FastRun
-from sphrom.models.reference.stored import expand, read_basis, read_points, read_values
+from sphrom.models.reference.stored import expand, read_points, read_values, read_whole
 from sphrom.models.stable_ranges import against
-from sphrom.models.stored_run import ComputedRun
+from sphrom.models.stored_run import OWN_PRESSURE, ComputedRun
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial_model import EXPONENTIAL, steady_state
 from sphrom.reduction.reduced_operators import largest_growth
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
-from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate, with_pressures
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph.fluid import pressure_of
@@ -191,7 +191,7 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     artifact.write("time", done.time)
     artifact.write("generalized_coordinates", done.coordinates)
     if reduced.pressure is not None:
-        artifact.write("pressure_coordinates", done.states[:, reduced.basis.n_modes :])
+        artifact.write(OWN_PRESSURE, done.states[:, reduced.basis.n_modes :])
     if done.correction is not None:
         artifact.write("correction", done.correction)
         artifact.annotate("integrated_modes", reduced.n_integrated)
@@ -240,22 +240,17 @@ class CoordinateRun(ComputedRun):
 
     @cached_property
     def _basis(self) -> TrialBasis:
-        name, n_modes = self._used
-        basis = truncate(read_basis(self._workspace, name), n_modes)
-        if not self._owns_pressure:
-            return basis
-        with self._workspace.open(self._workspace.operators()) as artifact:
-            return with_pressures(basis, artifact.read(f"bases/{name}/pressure/modes"))
+        return read_whole(self._workspace, *self._used, own_pressure=self._owns_pressure)
 
     @property
     def _owns_pressure(self) -> bool:
-        return "pressure_coordinates" in self._run
+        return OWN_PRESSURE in self._run
 
     @cached_property
     def _states(self) -> Array:
         if not self._owns_pressure:
             return self.coordinates
-        return np.hstack((self.coordinates, self._run.read("pressure_coordinates")))
+        return np.hstack((self.coordinates, self._run.read(OWN_PRESSURE)))
 
     def position(self, snapshot: int) -> Array:
         """Return the reference points (n, 2) [m]."""

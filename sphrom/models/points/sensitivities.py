@@ -241,7 +241,12 @@ def _forces(
     differences = []
     for side, change, of_mean in zip(sides, changes, means, strict=True):
         low, high = (
-            forces_of(model, times, run + step * change, mean + step * of_mean)
+            forces_of(
+                replace(model, output_times=reduced.output_times),
+                times,
+                run + step * change,
+                mean + step * of_mean,
+            )
             for model, step in ((side.below, -0.5 * side.width), (side.above, 0.5 * side.width))
         )
         differences.append({name: (high[name] - low[name]) / side.width for name in low})

@@ -6,6 +6,7 @@ number of modes: it contains the residual of the projection onto these modes alo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -20,10 +21,12 @@ from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import Quantities, with_coefficients
 from sphrom.models.reference.stored import mapped_runs, read_points
 from sphrom.models.starts import RunStarts, start
+from sphrom.plots.tables import format_figure
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles, fitted_cycle
 from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.reduction.trained_basis import ALL_MODES, TrainedBasis
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
 from sphrom.store.trajectory import totals
@@ -107,6 +110,25 @@ def cycle_closure(
     pushed = 0.0 if amplitude is None else float(amplitude(times[-1:])[0])
     factors = [point.factors for point in points]
     return CycleClosure(operators, TrainedCycles.of_runs(viscosities, factors, cycles, pushed))
+
+
+def report_onset(workspace: Workspace, model: str, basis: str, trained: TrainedBasis) -> None:
+    """Report the Reynolds number of the onset, with the other parameters as in the first run."""
+    closure = trained.rates[ALL_MODES].closure
+    if not isinstance(closure, CycleClosure):
+        return
+    report = workspace.context.report
+    point = workspace.case.plan.bases[basis][0]
+    scale = point.reynolds * workspace.case.plan.kinematic_viscosity(point)
+    found = closure.onsets(point.factors)
+    if math.isinf(found[0]):
+        report.warn(f"{model}, basis {basis}: training runs determine no onset")
+        return
+    onset, low, high = (format_figure(scale / x, 3) for x in (found[0], max(found), min(found)))
+    report.info(
+        f"{model}, basis {basis}: oscillates from reynolds={onset} on, by estimates from {low} to "
+        f"{high}"
+    )
 
 
 def snapshot_times(case: Case) -> Array:

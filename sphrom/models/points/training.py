@@ -19,31 +19,30 @@ from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import COEFFICIENT
-from sphrom.metrics.series import smoothed
-from sphrom.models.points.basis_model import BasisModel, Start, forces_of, quantities_of
+from sphrom.models.points.basis_model import BasisModel, Start, quantities_of
+from sphrom.models.points.force_training import ForceTraining, report_forces
+from sphrom.models.points.pressures import report_pressure
 from sphrom.models.points.stored import (
     calibrated,
     cycle_closure,
     mapped_starts,
     read_operators,
     recorded_of,
+    report_onset,
     sized,
     snapshot_times,
     stored_starts,
 )
 from sphrom.models.reference.stored import read_basis
-from sphrom.plots.tables import format_figure
 from sphrom.reduction.calibration import Calibration, TrainingRun
-from sphrom.reduction.correction import interpolated, learn_correction
+from sphrom.reduction.correction import learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
 from sphrom.reduction.own_pressure import (
-    CANDIDATES,
     JOINT,
     PressureSpace,
     choose,
-    expected_errors,
     fitted,
 )
 from sphrom.reduction.polynomial_model import Run
@@ -61,7 +60,7 @@ from sphrom.reduction.trained_basis import (
     TrainedRates,
 )
 from sphrom.reduction.trial_basis import truncate
-from sphrom.setup.assembly import scaled_parameters, sound_averages
+from sphrom.setup.assembly import scaled_parameters
 from sphrom.store.workspace import Workspace
 
 
@@ -76,8 +75,9 @@ def trained_model(
     if any(model.problem is not None for model in models.values()):
         return None
     for name, model in models.items():
-        _report_pressure(model, name)
-        _report_onset(model, name)
+        report_pressure(workspace, section.name, name, model.trained)
+        report_forces(model, name)
+        report_onset(workspace, section.name, name, model.trained)
     with workspace.open(workspace.basis()) as artifact:
         return TrainedModel(
             bases={name: model.trained for name, model in models.items()},
@@ -101,38 +101,6 @@ def train(
     # Sums over arrays in this order have the bits of a model that is read from its artifact.
     model.trained = model.trained.mapped(np.ascontiguousarray)
     return model
-
-
-def _report_pressure(model: BasisModel, basis: str) -> None:
-    """Report the errors of all candidates for the pressure, and which of them was chosen."""
-    trained = model.trained
-    if (errors := trained.pressure_errors) is None:
-        return
-    (chosen,) = trained.pressure or (JOINT,)
-    expected = map(format_figure, 100.0 * expected_errors(errors, trained.places))
-    model.workspace.context.report.table(
-        f"pressure of {model.section.name}, basis {basis}: {chosen}, by held-out training runs",
-        ("pressure", "error [%]"),
-        list(zip(CANDIDATES, expected, strict=True)),
-    )
-
-
-def _report_onset(model: BasisModel, basis: str) -> None:
-    """Report the Reynolds number of the onset, with the other parameters as in the first run."""
-    closure = model.trained.rates[ALL_MODES].closure
-    if not isinstance(closure, CycleClosure):
-        return
-    point = model.points[0]
-    scale = point.reynolds * model.workspace.case.plan.kinematic_viscosity(point)
-    name = f"{model.section.name}, basis {basis}"
-    found = closure.onsets(point.factors)
-    if math.isinf(found[0]):
-        model.workspace.context.report.warn(f"{name}: training runs determine no onset")
-        return
-    onset, low, high = (format_figure(scale / x, 3) for x in (found[0], max(found), min(found)))
-    model.workspace.context.report.info(
-        f"{name}: oscillates from reynolds={onset} on, by estimates from {low} to {high}"
-    )
 
 
 class _Training:
@@ -184,9 +152,8 @@ class _Training:
         )
         trained = replace(trained, rates=self._with_linear_parts(trained))
         model = self._with(trained)
-        models = [model.projected(point, in_training=True) for point in self.points]
         try:
-            runs = [model.integrator(m.leading or m).run() for m in models]
+            models, runs = self._repeated(model)
         except CaseError as error:
             # Models without corrections may be stable at other parameters.
             model.problem = error if self.is_corrected else None
@@ -196,13 +163,15 @@ class _Training:
     def _with(self, trained: TrainedBasis) -> BasisModel:
         return BasisModel(self.workspace, self.section, self.name, trained, self.basis, self.start)
 
-    def _learnt(
+    def _repeated(self, model: BasisModel) -> tuple[list[ReferenceModel], list[Run]]:
+        """Return the model at the training points without corrections, and its runs."""
+        models = [model.projected(point, in_training=True) for point in self.points]
+        return models, [model.integrator(m.leading or m).run() for m in models]
+
+    def _corrected(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
-    ) -> BasisModel:
-        """Return the model with the corrections and steps that its own training runs teach."""
-        if self.section.time_step == AUTO:
-            steps = [0.0 if math.isfinite(run.diverged_at) else run.time_step for run in runs]
-            trained = replace(trained, first_step=np.array(steps))
+    ) -> tuple[TrainedBasis, Array]:
+        """Return the model with its correction, and its training runs without that."""
         # Coordinates that are not integrated are zero.
         coordinates = np.stack(
             [
@@ -210,15 +179,29 @@ class _Training:
                 for each, run in zip(models, runs, strict=True)
             ]
         )
-        if self.is_corrected:
-            assert self.projected is not None
-            groups = np.split(self.modes, [self._n_integrated()])
-            learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
-            trained = replace(trained, correction=learnt)
+        if not self.is_corrected:
+            return trained, coordinates
+        assert self.projected is not None
+        groups = np.split(self.modes, [self._n_integrated()])
+        learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
+        return replace(trained, correction=learnt), coordinates
+
+    def _learnt(
+        self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
+    ) -> BasisModel:
+        """Return the model with the corrections and steps that its own training runs teach."""
+        if self.section.time_step == AUTO:
+            steps = [0.0 if math.isfinite(run.diverged_at) else run.time_step for run in runs]
+            trained = replace(trained, first_step=np.array(steps))
+        trained, coordinates = self._corrected(trained, models, runs)
+        own: dict[int, Array] = {}
         if self.stored.pressure is not None and not self.section.settles_on_cycles:
-            trained = self._with_own_pressure(trained, models, coordinates, self.stored.pressure)
+            trained, own = self._with_own_pressure(
+                trained, models, coordinates, self.stored.pressure
+            )
         if not self.section.settles_on_cycles:
-            trained = replace(trained, forces=self._corrected_forces(trained, models, coordinates))
+            training = ForceTraining(self._with, models, coordinates, self.stored.wall_force, own)
+            trained = replace(trained, forces=training.forces(trained))
         if self.case.plan.has_error_estimate(self.name):
             trained = replace(trained, errors=self._errors(trained, models, coordinates))
         return self._with(trained)
@@ -293,7 +276,8 @@ class _Training:
                 )
                 on_cycles = CycleLoads(real=harmonics.real, imaginary=harmonics.imag)
             forces[measured] = TrainedForce(
-                projected=ReducedForce.of(force).of_modes(self.modes), on_cycles=on_cycles
+                projected=replace(ReducedForce.of(force).of_modes(self.modes), own=None),
+                on_cycles=on_cycles,
             )
         return forces
 
@@ -310,59 +294,72 @@ class _Training:
         models: Sequence[ReferenceModel],
         coordinates: Array,
         stored: PressureSpace,
-    ) -> TrainedBasis:
-        """Return the model with the pressure that is the best one in held-out training runs."""
-        model = self._with(trained)
+    ) -> tuple[TrainedBasis, dict[int, Array]]:
+        """Return the model with the pressure that is the best one in held-out training runs.
+
+        Its own modes have coordinates (n_snapshots, n_pressure_modes) there, by number of the run.
+        """
         space = stored.of_modes(self.modes)
-        runs: dict[int, TrainingRun] = {}
-        predicted: dict[int, TrainingRun] = {}
-        usable = np.isfinite(coordinates).all(axis=(1, 2)) & space.squares.any(axis=1)
-        for k in np.flatnonzero(usable).tolist():
-            point = self.points[k]
-            runs[k] = TrainingRun(
-                models[k].polynomial,
-                _with(coordinates[k], model.added(point)),
-                self.case.plan.kinematic_viscosity(point),
-                models[k].amplitudes(self.times),
-                point.factors,
-            )
-            found = _with(coordinates[k], model.added(point, held_out=True))
-            predicted[k] = replace(runs[k], coordinates=found)
-        if len(runs) < 2:
-            return trained
-        chosen, errors = choose(space, runs, predicted, trained.places)
+        usable = np.flatnonzero(space.squares.any(axis=1)).tolist()
+        runs = self._known(self._with(trained), models, coordinates, usable)
+        without = {k: self._without(trained, k, usable) for k in usable}
+        predicted = {k: known for k, known in without.items() if k in known and len(known) > 1}
+        if len(runs) < 2 or not predicted:
+            return trained, {}
+        chosen, errors, held_out = choose(space, predicted, trained.places)
         trained = replace(trained, pressure_errors=errors)
         if chosen == JOINT:
-            return trained
+            return trained, {}
         base = np.eye(len(space.modes), len(space.gradients))
         own = fitted(space, base, chosen, runs, trained.places)
         pressure = {chosen: replace(own, modes=space.modes)}
-        return replace(trained, pressure=pressure, measures=self._measures(self.with_own))
+        trained = replace(trained, pressure=pressure, measures=self._measures(self.with_own))
+        return trained, held_out
 
-    def _corrected_forces(
-        self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
-    ) -> dict[str, TrainedForce]:
-        """Return the forces with the corrections by their errors in training runs."""
-        model = self._with(trained)
-        modelled = []
-        for point, reduced, run in zip(self.points, models, coordinates, strict=True):
-            forces = {name: model.force_at(name, point) for name in trained.forces}
-            states = _with(run, model.added(point))
-            modelled.append(forces_of(replace(reduced, forces=forces), self.times, states))
-        places = trained.places
-        weights = sound_averages(self.case)
-        found = {}
-        for name, force in trained.forces.items():
-            recorded = self.stored.wall_force[name].training_loads
-            defects = recorded - np.stack([forces[name] for forces in modelled])
-            defects = defects.reshape(*defects.shape[:2], -1)
-            slow = np.stack([smoothed(defect, weights) for defect in defects])
-            # Sound and particle noise may differ from run to run.
-            parts = np.concatenate((slow, defects - slow), axis=2)
-            each_load = list(np.arange(parts.shape[2])[:, None])
-            correction = interpolated(places, parts, each_load)
-            found[name] = replace(force, correction=correction)
-        return found
+    def _without(
+        self, trained: TrainedBasis, k: int, usable: Sequence[int]
+    ) -> dict[int, TrainingRun]:
+        """Return the complete training runs of a model that is fitted to all of them but `k`."""
+        others = np.delete(np.arange(len(self.points)), k)
+        points = [self.points[j] for j in others]
+        rates = {}
+        for name, known in trained.rates.items():
+            fitted_to = known.calibration
+            if fitted_to is not None:
+                assert self.projected is not None
+                projected = self.projected[others][..., : known.operators.n_modes]
+                fitted_to = calibrated(self.case, points, known.operators, projected)
+            rates[name] = replace(known, calibration=fitted_to)
+        model = self._with(replace(trained, rates=rates))
+        try:
+            models, runs = self._repeated(model)
+        except CaseError:
+            return {}
+        trained, coordinates = self._corrected(model.trained, models, runs)
+        return self._known(self._with(trained), models, coordinates, usable, k)
+
+    def _known(
+        self,
+        model: BasisModel,
+        models: Sequence[ReferenceModel],
+        coordinates: Array,
+        usable: Sequence[int],
+        held_out: int | None = None,
+    ) -> dict[int, TrainingRun]:
+        """Return complete corrected training runs, one of them corrected by the others only."""
+        runs = {}
+        for k in usable:
+            point = self.points[k]
+            found = _with(coordinates[k], model.added(point, held_out=k == held_out))
+            if np.isfinite(found).all():
+                runs[k] = TrainingRun(
+                    models[k].polynomial,
+                    found,
+                    self.case.plan.kinematic_viscosity(point),
+                    models[k].amplitudes(self.times),
+                    point.factors,
+                )
+        return runs
 
     def _errors(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
@@ -381,8 +378,14 @@ class _Training:
         errors = TrainedErrors(
             factor=factor.of_model(whole, self.modes),
             products=products,
+            outputs={
+                name: shares.mapped(lambda share: share[self.modes[-1:]])
+                for name, shares in estimate.outputs.items()
+            },
             units=np.array([1.0, scale]),
         )
+        # Of velocity, and of the pressure in the modes that the model uses: own ones are the last.
+        fields = [0, -1 if trained.pressure else 1]
         held_out, own, residuals, known = [], [], [], []
         for k, (point, reduced) in enumerate(zip(self.points, models, strict=True)):
             corrected = model.corrected(reduced, point, held_out=True)
@@ -400,7 +403,7 @@ class _Training:
             np.stack(known),
             compared,
             trained.places,
-            estimate.unheld.mapped(lambda shares: shares[..., self.section.size - 1, :]),
+            estimate.unheld.mapped(lambda shares: shares[..., self.modes[-1], fields]),
         )
         complete = [k for k, (_, run) in enumerate(held_out) if np.isfinite(run).all()]
         if not complete:

@@ -21,10 +21,11 @@ from sphrom.models.contract import (
     best_name,
     family_of,
 )
-from sphrom.models.reference.stored import expand, read_modes
-from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.models.reference.stored import expand, read_values, read_whole
+from sphrom.models.stored_run import OWN_PRESSURE
+from sphrom.reduction.mode_splines import Values
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
+from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project, reconstruct
 from sphrom.setup.particles import MeasuredFields, sampler
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.workspace import Workspace
@@ -45,15 +46,21 @@ def limits(
         samples = sample_mapped(case, mapped, sampler(case, probes.all))
         yield Limit("map", samples, measured=measured_of_map(case, mapped))
         used: dict[tuple[str, int], ReducedModelSection | None] = {}
+        with_own = set()
         for model in models:
             key = basis_used(workspace, model, point)
+            with workspace.open(workspace.reduced_run(model, point)) as run:
+                if OWN_PRESSURE in run:
+                    with_own.add(key)
             # Models with equations compute measurements from their coordinates.
             if family_of(case, model).can(Ability.EQUATIONS) and case.scene.measure:
                 used[key] = model
             used.setdefault(key, None)
         for (name, size), measuring in sorted(used.items(), key=lambda pair: pair[0]):
-            basis, splines = read_modes(workspace, name, size)
-            both, alone = sample_best(case, mapped, basis, splines, probes)
+            own = (name, size) in with_own
+            whole = read_whole(workspace, name, size, own_pressure=own)
+            values = read_values(workspace, name, size, own_pressure=own)
+            both, alone = sample_best(case, mapped, whole, values, probes, size)
             measured = None
             if measuring is not None:
                 measured = measured_of_best(workspace, measuring, point, mapped)
@@ -76,28 +83,45 @@ def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples
 
 
 def sample_best(
-    case: Case, mapped: Artifact, basis: TrialBasis, splines: ModeSplines, probes: Probes
+    case: Case,
+    mapped: Artifact,
+    whole: TrialBasis,
+    values: Values,
+    probes: Probes,
+    n_modes: int,
 ) -> tuple[Samples, Samples]:
     """Sample the best approximations of mapped snapshots in a basis: of states, and of each field.
 
-    The first result is the projection of states in the inner product of the basis. In the second
-    each field has coordinates of its own, so no state with these modes is closer in either field.
+    The first result is the projection of states in the inner product of the basis. A model's own
+    pressure modes represent the pressure that the projection lacks. In the second result each field
+    has coordinates of its own, so no state with these modes is closer in either field.
+
+    Parameters
+    ----------
+    whole : `n_modes` modes, then those of the pressure alone, which are orthonormal.
+    values : of these modes.
     """
     densities = mapped.dataset("density_fluctuation")
     velocities = mapped.dataset("velocity")
     snapshots = zip(densities, velocities, strict=True)
     # Where modes hold the mean density, a state of none has coordinates too: they count once.
-    rest = project(basis, 0.0 * densities[0], 0.0 * velocities[0])
-    parts = [(project(basis, d, 0.0 * v), project(basis, 0.0 * d, v) - rest) for d, v in snapshots]
+    rest = project(whole, 0.0 * densities[0], 0.0 * velocities[0])
+    parts = [(project(whole, d, 0.0 * v), project(whole, 0.0 * d, v) - rest) for d, v in snapshots]
     by_density, by_velocity = (np.array(part) for part in zip(*parts, strict=True))
-    share = (basis.density_modes * basis.weights) @ basis.density_modes.T
-    shares = (share, by_density), (np.eye(basis.n_modes) - share, by_velocity)
-    alone = [np.linalg.lstsq(gram, part.T, LEAST_SHARE)[0].T for gram, part in shares]
-    means = np.array([mean_density_fluctuation(basis, density) for density in densities])
+    share = (whole.density_modes * whole.weights) @ whole.density_modes.T
+    moving = np.zeros_like(share)
+    moving[:n_modes, :n_modes] = np.eye(n_modes) - share[:n_modes, :n_modes]
+    alone = [
+        np.linalg.lstsq(gram, part.T, LEAST_SHARE)[0].T
+        for gram, part in ((share, by_density), (moving, by_velocity))
+    ]
+    nearest = by_density + by_velocity
+    nearest[:, n_modes:] -= nearest[:, :n_modes] @ share[:n_modes, n_modes:]
+    means = np.array([mean_density_fluctuation(whole, density) for density in densities])
     times = mapped.read("time")
     both, density, velocity = (
-        expand(case, basis, splines.values, probes.all, times, coordinates, means)
-        for coordinates in (by_density + by_velocity, *alone)
+        expand(case, whole, values, probes.all, times, coordinates, means)
+        for coordinates in (nearest, *alone)
     )
     return both, replace(density, velocity=velocity.velocity)
 
@@ -125,8 +149,11 @@ def measured_of_best(
 
     fast = FastModel(workspace, model)
     time = mapped.read("time")
-    reduced = replace(fast.at(point), pressure=None)
+    reduced = fast.at(point)
     density = mapped.read("density_fluctuation")
     coordinates = project(reduced.basis, density, mapped.read("velocity"))
     mean = mean_density_fluctuation(reduced.basis, density)
-    return quantities_of(workspace.case, reduced, time, coordinates, mean)
+    whole = fast.at_point(point).whole
+    missed = density - reconstruct(reduced.basis, coordinates, mean)[0]
+    own = project(whole, missed, np.zeros((*missed.shape, 2)))[:, reduced.basis.n_modes :]
+    return quantities_of(workspace.case, reduced, time, coordinates, mean, own)

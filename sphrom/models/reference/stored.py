@@ -16,7 +16,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import Samples
 from sphrom.reduction.mode_splines import ModeSplines, Values
-from sphrom.reduction.trial_basis import TrialBasis, truncate
+from sphrom.reduction.trial_basis import TrialBasis, truncate, with_pressures
 from sphrom.setup import assembly
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.workspace import Workspace
@@ -82,6 +82,15 @@ def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasi
     """Read the first modes of a basis, and their splines."""
     basis = truncate(read_basis(workspace, name), n_modes)
     return basis, read_splines(workspace, name).first(n_modes)
+
+
+def read_whole(workspace: Workspace, name: str, n_modes: int, *, own_pressure: bool) -> TrialBasis:
+    """Read the first modes of a basis, and then its pressure modes if asked."""
+    basis = truncate(read_basis(workspace, name), n_modes)
+    if not own_pressure:
+        return basis
+    with workspace.open(workspace.operators()) as artifact:
+        return with_pressures(basis, artifact.read(f"bases/{name}/pressure/modes"))
 
 
 def read_values(workspace: Workspace, name: str, n_modes: int, *, own_pressure: bool) -> Values:

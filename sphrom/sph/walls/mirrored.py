@@ -19,10 +19,8 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.kernels import fields, mirror_fits
 from sphrom.kernels.cells import Search
-from sphrom.kernels.sweeps import gather
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.neighbourhood import sort_sources
 from sphrom.sph.walls.rule import WallTerms
 from sphrom.sph.walls.rules import Adjoint
 
@@ -31,8 +29,8 @@ if TYPE_CHECKING:
 
 FLUX = 4
 """Row of the interpolated fields with the flux towards a ghost."""
-FITS = slice(5, 8)
-"""Rows of the interpolated fields with the fit around a ghost's mirror point."""
+SAME = 1e-9
+"""Distance over h below which mirror points are the same."""
 
 SHARES = (0.5, 0.5, 0.5, 0.0, 0.0)
 """Factors on the distance of a mirror point from its wall, in turn, while it is in another solid;
@@ -78,41 +76,40 @@ class Mirrored(Adjoint):
         if discretization.free_surface:
             raise ValueError("mirrored walls are for fluid without a free surface; use adjoint")
         super().__init__(walls, domain, fluid, discretization)
-        self._mirror, way = mirror_points(walls.position, domain, discretization.smoothing_length)
-        self._from_mirror = -way
-        reach = discretization.support_radius
-        self._felt = reach + float(domain.wall_distance(self._mirror.T).max(initial=0.0))
-        spacing = discretization.particle_spacing
-        self._near_mirror = sort_sources(self._mirror, domain, reach + self._drift, spacing)
+        length = discretization.smoothing_length
+        mirror, way = mirror_points(walls.position, domain, length)
+        # Ghosts of the first rows share mirror points, which are sorted by y.
+        rounded = np.round(mirror / (SAME * length))
+        ghost = np.lexsort(rounded)
+        differs = np.diff(rounded[:, ghost], prepend=np.nan) != 0.0
+        first = np.flatnonzero(differs.any(axis=0))
+        place = np.ascontiguousarray(mirror[:, ghost[first]])
+        start = np.append(first, ghost.size)
+        self._mirrors = mirror_fits.Mirrors(place, start, ghost, -way / length)
 
-    def interpolated(self, source: Array, search: Search) -> Array:
-        means = np.empty((FITS.stop, self._mirror.shape[1]))
-        means[: FITS.start] = super().interpolated(source, search)
-        fits = means[FITS]
-        mirror_fits.mirror_fits(self._mirror, self._from_mirror, source, search, fits)
+    def interpolated(self, source: Array, search: Search) -> tuple[Array, Array]:
+        means, _ = super().interpolated(source, search)
+        inverse = np.empty((6, self._mirrors.place.shape[1]))
         density = source[fields.DENSITY]
-        mirror_fits.continued(self._mirror, fits, source, density, search, means[0])
-        return means
+        mirror_fits.fits(self._mirrors, source, density, search, inverse, means[0])
+        return means, inverse
 
     def enter_continuity(self, ghost: Array, weights: Array, flux: Array) -> None:
         """Leave the rows of ghosts as they are: the flux returns to their mirror points."""
 
     def give_back(self, beside: WallTerms, out: Array) -> None:
         returned = beside.ghost[fields.VOLUME] * beside.means[FLUX]
-        near = self._near_mirror
-        rows = np.vstack((self._mirror, returned * beside.means[FITS]))
-        mirrored = np.empty((len(rows), near.particle.size))
-        gather(near.particle, near.image, rows, fields.X, mirrored)
-        sizes = self.discretization
-        search = near.search(sizes.support_radius, sizes.smoothing_length)
-        sources = beside.sources
-        targets = sources.targets[beside.distance < self._felt]
-        mirror_fits.give_back(sources.particle, targets, beside.source, mirrored, search, out)
+        source = beside.source
+        particle = beside.sources.particle
+        spread = np.empty(particle.size)
+        mirror_fits.transposed(self._mirrors, beside.fits, returned, source, beside.search, spread)
+        out -= np.bincount(particle, spread / source[fields.VOLUME], out.size)
 
     def damp(self, beside: WallTerms, damping: Array) -> None:
-        added = np.empty(self._mirror.shape[1])
-        fits = beside.means[FITS]
-        mirror_fits.continued(self._mirror, fits, beside.source, damping, beside.search, added)
+        added = np.empty(self._mirrors.ghost.size)
+        mirror_fits.fits_again(
+            self._mirrors, beside.fits, beside.source, damping, beside.search, added
+        )
         beside.ghost[fields.PRESSURE] += added
 
     @classmethod

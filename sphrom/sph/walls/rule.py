@@ -90,15 +90,14 @@ class WallRule(ABC):
         near = sort_sources(lattice, domain, reach, spacing)
         source = np.zeros((fields.N_FIELDS, near.particle.size))
         gather(near.particle, near.image, lattice, fields.X, source)
-        return self.interpolated(source, near.search(reach, self.discretization.smoothing_length))[
-            3
-        ]
+        search = near.search(reach, self.discretization.smoothing_length)
+        return self.interpolated(source, search)[0][3]
 
-    def interpolated(self, source: Array, search: Search) -> Array:
-        """Return the rows (5, n_ghosts) of `ghost_fields.ghost_means`; a rule may add some."""
+    def interpolated(self, source: Array, search: Search) -> tuple[Array, Array]:
+        """Return the rows (5, n_ghosts) of `ghost_fields.ghost_means`, and the fits of a rule."""
         means = np.empty((5, self._position.shape[1]))
         ghost_fields.ghost_means(self._position, source, search, means)
-        return means
+        return means, np.empty(0)
 
     def _below_surface(self, weights: Array, depth: Array) -> Array:
         """Return the share (n_ghosts,) of each ghost's cell that is below the free surface.
@@ -141,8 +140,8 @@ class WallRule(ABC):
         body_force : (2, n_particles) [m/s2], or None.
         wall_speed : factor of the walls' velocity, or one for each ghost (n_ghosts,).
         """
-        means = self.interpolated(source, search)
-        fluctuation, u, v, weights, flux = means[:5]
+        means, fits = self.interpolated(source, search)
+        fluctuation, u, v, weights, flux = means
         share: Array | float = 1.0
         if body_force is not None and self.adds_heads:
             density = self.fluid.reference_density + source[fields.DENSITY]
@@ -167,7 +166,7 @@ class WallRule(ABC):
         ghost[fields.PRESSURE] = fluctuation
         ghost[fields.DEPTH] = self._depth
         self.enter_continuity(ghost, weights, flux)
-        return WallTerms(self, sources, source, ghost, means, search)
+        return WallTerms(self, sources, source, ghost, means, fits, search)
 
     @classmethod
     def depths(cls, domain: Domain, ghost: Array, discretization: Discretization) -> Array:
@@ -261,6 +260,8 @@ class WallTerms:
     """(n_fields, n_ghosts) the fields of ghosts."""
     means: Array
     """The fields that ghosts took from the fluid, by `WallRule.interpolated`."""
+    fits: Array
+    """The rule's fits, from there, too."""
     search: Search
     """With which ghosts search the fluid."""
 
