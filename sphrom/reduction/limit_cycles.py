@@ -373,8 +373,9 @@ class CycleClosure:
         viscosity = self._held(viscosity, factors)
         cycle = self.cycle_at(viscosity, factors, fitted=True)
         radius = self._radius(viscosity, factors, fitted=True)
-        trained_range = self.trained.viscosities.min(), self.trained.viscosities.max()
-        weights = self._weights(float(np.clip(viscosity, *trained_range)), factors)
+        known = self.trained.viscosities
+        within = float(np.clip(viscosity, known.min(), known.max()))
+        weights = self._weights(within, factors)
         missing = around(self._between(weights, radius, defects))
         linear = _slope(cycle.states, missing)
         constant = missing.mean(axis=0) - linear @ cycle.harmonics[0].real
