@@ -241,7 +241,7 @@ def variant_of(context: StageContext, case: Case, shared: tuple[str, ...] = ()) 
 
 def make_runs(
     variant: Variant, label: str, points: Sequence[ParameterPoint]
-) -> tuple[ParameterPoint, ...]:
+) -> list[ParameterPoint]:
     """Make the missing full runs of a variant; return and warn of unstable points."""
     unstable = []
     for point in points:
