@@ -24,9 +24,8 @@ from sphrom.arrays import Array
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.studies import sweep_name
-from sphrom.setup.assembly import scaled_parameters
 from sphrom.store.workspace import Workspace
-from sphrom.sweep.batches import PLACE, RunRecord, SweptModel, read_records
+from sphrom.sweep.batches import RunRecord, SweptModel, read_records
 from sphrom.sweep.statistics import Output, outputs_of
 
 
@@ -107,9 +106,7 @@ def main() -> None:
     trained = SweptModel(Workspace(study._context)).in_training([r.point for r in fast_runs])
 
     def outputs(runs: list[RunRecord], known: Any = ()) -> dict[str, Output]:
-        places = scaled_parameters(study.case, [run.point for run in runs])
-        values = [{**r.values, PLACE: each} for r, each in zip(runs, places, strict=True)]
-        found = outputs_of(study.case, values, known)
+        found = outputs_of(study.case, [run.values for run in runs], known)
         return {output.name: output for output in found}
 
     truth = outputs(full_runs)

@@ -2,7 +2,9 @@
 
 Runs a case at more parameter values through the command line, prints estimate and error of every
 model on the reference points side by side, and writes them as JSON. With `--beyond 2` every run
-goes on for twice the trained time, which the full runs then do in a case of their own.
+goes on for twice the trained time, which the full runs then do in a case of their own. A table
+has the shares of true errors below one and two times their estimates: of the fields, and of each
+component of all measurements.
 
     python scripts/estimates.py cases/taylor_green_demo.yaml --inside 105 125 150 175 195 \
         --outside 50 70 300 400
@@ -20,7 +22,7 @@ import argparse
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,16 +31,20 @@ import numpy as np
 import yaml
 from bench_rivals import SCENES
 
+from sphrom.arrays import Mask
 from sphrom.case.loader import load_case
 from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.console import SilentReporter
 from sphrom.metrics.histories import effectivity
-from sphrom.models.points.fast_model import FastModel
+from sphrom.metrics.measures import Quantities, mean_squares, since, variations
+from sphrom.metrics.quantities import component_names
+from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.stored_run import probes_of, sample_run
+from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 
 Row = dict[str, Any]
@@ -46,6 +52,8 @@ FIELDS = ("velocity", "pressure")
 INSIDE_FACTOR = 2.0
 OUTSIDE_FACTORS = (0.5, 4.0)
 """What an estimate over the error is to be within, inside and outside of training."""
+TOO_LARGE = 4.0
+"""An estimate over the error from which it is useless."""
 GALLERY = Path(__file__).parents[1] / "cases" / "gallery"
 COARSE = {
     "cavity_with_fin": (34, 3.0), "cylinder": (8, 5.0), "cylinder_array": (24, 1.0),
@@ -53,6 +61,54 @@ COARSE = {
     "taylor_couette": (12, 3.0),
 }  # fmt: skip
 """Resolution and final time [s] of scenes of the gallery: coarser and shorter than there."""
+MEASURE: dict[str, dict[str, Any]] = {
+    "taylor-green": {
+        "here": {"probe": [0.3, 0.15]}, "there": {"probe": [0.6, 0.85]},
+        "flux": {"flow_rate": {"from": [0.5, 0.5], "to": [0.5, 1]}},
+    },
+    "lid-driven-cavity": {
+        "lid": {"force_on": "top"}, "low": {"probe": [0.5, 0.2]}, "side": {"probe": [0.8, 0.5]},
+        "flux": {"flow_rate": {"from": [0.5, 0], "to": [0.5, 0.5]}},
+    },
+    "two-cylinders": {
+        "first": {"force_on": "first"}, "second": {"force_on": "second"},
+        "gap": {"probe": [2.8, 3.2]}, "wake": {"probe": [2.8, 2.0]},
+        "flux": {"flow_rate": {"from": [5.5, 0], "to": [5.5, 4]}},
+    },
+    "cavity-with-disc": {
+        "disc": {"force_on": "disc"}, "low": {"probe": [0.5, 0.15]}, "side": {"probe": [0.8, 0.5]},
+        "flux": {"flow_rate": {"from": [0.45, 0], "to": [0.45, 0.3]}},
+    },
+    "cavity_with_fin": {
+        "fin": {"force_on": "fin"}, "lid": {"force_on": "top"},
+        "left": {"probe": [0.2, 0.5]}, "right": {"probe": [0.8, 0.6]},
+        "flux": {"flow_rate": {"from": [0.5, 0.6], "to": [0.5, 1]}},
+    },
+    "cylinder_array": {
+        "drag": {"force_on": "cylinder"},
+        "gap": {"probe": [0.1, 0.1]}, "above": {"probe": [0.5, 0.9]},
+        "flux": {"flow_rate": {"from": [0, 0], "to": [0, 1]}},
+    },
+    "eccentric_cylinder": {
+        "inner": {"force_on": "inner"},
+        "wide": {"probe": [-0.6, 0]}, "narrow": {"probe": [0.8, 0]},
+        "flux": {"flow_rate": {"from": [0.7, 0], "to": [1, 0]}},
+    },
+    "kolmogorov": {
+        "here": {"probe": [3, 2]}, "there": {"probe": [9, 4.5]},
+        "flux": {"flow_rate": {"from": [6, 0], "to": [6, 3]}},
+    },
+    "l_shaped_cavity": {
+        "step": {"force_on": "step"}, "lid": {"force_on": "top"},
+        "left": {"probe": [0.25, 0.25]}, "right": {"probe": [0.75, 0.75]},
+        "flux": {"flow_rate": {"from": [0.5, 0.75], "to": [0.5, 1]}},
+    },
+    "taylor_couette": {
+        "inner": {"force_on": "inner"}, "gap": {"probe": [0.75, 0]},
+        "flux": {"flow_rate": {"from": [0.5, 0], "to": [1, 0]}},
+    },
+}  # fmt: skip
+"""Measurements of the scenes that have none."""
 INSIDE, OUTSIDE = (0.25, 0.45, 0.75), (0.65, 1.4)
 """Test values: places between the trained ones on a logarithmic scale; shares of the outer ones."""
 
@@ -67,6 +123,7 @@ def scenes() -> dict[str, dict[str, Any]]:
     fast = {"evaluation": "operators"}
     for name, content in found.items():
         content |= {"name": name, "basis": {"n_modes": 20}}
+        content["scene"] = {"measure": MEASURE.get(name, {}), **content["scene"]}
         content["rom"] = [{"name": f"m{n}", **fast, "n_modes": n} for n in (5, 10, 20, "auto")]
         content.pop("compare", None)
     return found
@@ -93,8 +150,19 @@ def sphrom(command: str, case: Path, out: Path, settings: dict[str, object]) -> 
 
 
 def compared(out: Path) -> list[Row]:
-    """Return the estimates that `compare` found."""
-    return list(json.loads((out / "compare.json").read_text())["estimates"])
+    """Return the estimates that `compare` found, with those of measurements."""
+    found = json.loads((out / "compare.json").read_text())
+    rows = {(row["compared"], row["parameters"]): row for row in found["estimates"]}
+    for each in found["measures"]:
+        row = rows.get((each["compared"], each["parameters"]))
+        if row is not None and each["estimated"] and each["relative_l2"]:
+            name = f"{each['measured']}_{each['quantity']}"
+            row.setdefault("measured", {})[name] = {
+                "quantity": each["quantity"],
+                "estimate": each["estimated"],
+                "error": each["relative_l2"],
+            }
+    return list(rows.values())
 
 
 def beyond(case: Case, out: Path, long: Case, long_out: Path) -> list[Row]:
@@ -117,7 +185,7 @@ def run_beyond(
     model: ReducedModelSection,
     point: ParameterPoint,
     plan: TimeSteps,
-) -> dict[str, float] | None:
+) -> Row | None:
     """Run one model beyond the trained time; return the figures of the later part."""
     case, probes = truth.case, probes_of(truth.case)
     fast = FastModel(workspace, model)
@@ -130,8 +198,33 @@ def run_beyond(
     samples = run.sampled(probes.all)
     with truth.open(truth.full_run(point)) as trajectory:
         full = sample_run(case, trajectory, probes.all)
+        recorded = measured_of(case, trajectory)
     trained_until = workspace.case.plan.steps.end_time
-    return effectivity(estimates, samples, full, probes, trained_until, trained_until)
+    figures = effectivity(estimates, samples, full, probes, trained_until, trained_until)
+    if figures is None:
+        return None
+    late = since(run.time, trained_until)
+    return {**figures, "measured": of_measurements(run, recorded, late)}
+
+
+def of_measurements(run: FastRun, full: Mapping[str, Quantities], late: Mask) -> dict[str, Row]:
+    """Return estimates and errors of a run's measurements at late times, over their changes [%]."""
+    found = {}
+    for name, errors in run.measured_errors.items():
+        for quantity in errors.keys() & full[name].keys():
+            whole = full[name][quantity][late]
+            sizes = variations(quantity, whole)
+            missed = mean_squares(quantity, run.measured[name][quantity][late] - whole)
+            expected = mean_squares(quantity, errors[quantity][late])
+            for each in component_names(quantity):
+                if sizes[each] > 0.0 and missed[each] > 0.0:
+                    error, estimate = (
+                        100.0 * (squares[each] / sizes[each]) ** 0.5
+                        for squares in (missed, expected)
+                    )
+                    row = {"quantity": each, "estimate": estimate, "error": error}
+                    found[f"{name}_{each}"] = row
+    return found
 
 
 def show(rows: Sequence[Row]) -> None:
@@ -171,18 +264,36 @@ def verdict(rows: Sequence[Row], role: str, field: str) -> str:
     )
 
 
+def ratios(rows: Sequence[Row], role: str) -> dict[str, list[float]]:
+    """Return errors over estimates, by field and by component of measurements."""
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        if row["role"] != role:
+            continue
+        for field in FIELDS:
+            found.setdefault(field, []).append(1.0 / ratio(row, field))
+        for each in row.get("measured", {}).values():
+            name = f"measured {each['quantity'].replace('_', ' ')}"
+            found.setdefault(name, []).append(each["error"] / each["estimate"])
+    return found
+
+
 def shares(rows: Sequence[Row]) -> str:
-    """Return a Markdown table of how many true errors are below one and two times the estimate."""
+    """Return a Markdown table of how many true errors are below one and two times the estimate.
+
+    Estimates above `TOO_LARGE` times the error are counted too.
+    """
     parts = [
-        "| | field | runs | below the estimate | below twice | error over estimate, 5 to 95 % |",
-        "|---|---|---|---|---|---|",
+        "| | quantity | runs | below the estimate | below twice | below a quarter "
+        "| error over estimate, 5 to 95 % |",
+        "|---|---|---|---|---|---|---|",
     ]
     for role in dict.fromkeys(row["role"] for row in rows if row["role"] != "trained"):
-        for field in FIELDS:
-            found = np.array([1.0 / ratio(row, field) for row in rows if row["role"] == role])
+        for name, values in sorted(ratios(rows, role).items()):
+            found = np.array(values)
             low, high = np.quantile(found, [0.05, 0.95])
-            once, twice = (f"{100.0 * np.mean(found < n):.0f} %" for n in (1.0, 2.0))
-            cells = role, field, str(len(found)), once, twice, f"{low:.2g} to {high:.2g}"
+            below = (f"{100.0 * np.mean(found < n):.0f} %" for n in (1.0, 2.0, 1.0 / TOO_LARGE))
+            cells = role, name, str(len(found)), *below, f"{low:.2g} to {high:.2g}"
             parts.append("| " + " | ".join(cells) + " |")
     return "\n".join(parts)
 

@@ -258,15 +258,28 @@ class Model(ABC, Generic[At]):
         """
         raise NotImplementedError
 
-    def trained_differences(
-        self, points: Sequence[ParameterPoint]
-    ) -> list[tuple[Array, dict[str, Quantities]]]:
-        """Return the places and the errors of training runs, for the bases of models at points.
+    def regime(self, point: ParameterPoint) -> str | None:
+        """Return the regime of the flow at a parameter point, one of REGIMES; None if unknown."""
+        return None
 
-        The errors are measurements of full runs less those of the model. The list is empty if
-        there are no estimates of errors.
+    def trained_differences(self, points: Sequence[ParameterPoint]) -> list[TrainedDifferences]:
+        """Return the errors of training runs, for the bases of models at points.
+
+        The list is empty if there are no estimates of errors.
         """
         return []
+
+
+@dataclass(frozen=True)
+class TrainedDifferences:
+    """The errors of a training run that a model predicts from the others."""
+
+    measured: dict[str, Quantities]
+    """(n_snapshots, ...) measurements of the full run less those of the model."""
+    fields: Array
+    """(n_snapshots, 2) root mean square errors of velocity [m/s] and pressure [Pa]."""
+    missed: dict[str, Quantities]
+    """(...) what the basis misses of measurements, over the error of their field."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -313,6 +326,17 @@ class ModelRun(ABC):
     @abstractmethod
     def measured(self) -> dict[str, Quantities]:
         """All measurements of the case (n_snapshots, ...), by name and quantity."""
+
+    @cached_property
+    def regime(self) -> str | None:
+        """The regime of the flow, one of REGIMES; None if the model does not know it."""
+        return self.model.regime(self.point)
+
+    @property
+    def oscillations(self) -> dict[str, Quantities]:
+        """The figures of oscillations (n_snapshots,), by name; NaN where the flow is steady."""
+        known = self.model.workspace.case.plan.oscillations
+        return known.of(self.time, self.measured, self.regime)
 
     @abstractmethod
     def sampled(self, points: Array) -> Samples:

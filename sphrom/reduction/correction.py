@@ -104,18 +104,6 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
     return weights, missed * largest if missed > INSIDE else 0.0
 
 
-def interpolation_variance(places: Array, place: Array) -> float:
-    """Return the variance of the interpolation error at a place (n_parameters,).
-
-    It is that of a process whose increments have the distance as their variance: zero at the
-    training points (n_points, n_parameters), and largest halfway between two of them.
-    """
-    weights, _ = interpolation_weights(places, place)
-    reach = _distances(places, place[None])[:, 0]
-    between = _distances(places, places)
-    return float(2.0 * weights @ reach - weights @ between @ weights)
-
-
 CORRELATIONS = np.concatenate(([1e-6], np.linspace(0.02, 0.98, 49), [1.0 - 1e-6]))
 """Candidate correlations of the defects at the two training points that are farthest apart."""
 WORTHWHILE = 0.9

@@ -32,8 +32,9 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset, labelled, part
+from sphrom.metrics.quantities import MEASURABLE
 from sphrom.metrics.series import hat, smoothed
-from sphrom.reduction.correction import PLACES, interpolation_variance, interpolation_weights
+from sphrom.reduction.correction import PLACES, interpolation_weights
 from sphrom.reduction.held_out import UnheldShares
 
 N_COMPARED = 100
@@ -184,66 +185,61 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
     return out
 
 
+def field_of(quantity: str) -> int:
+    """Return 1 for outputs of the pressure field, 0 for others, which depend on the velocity.
+
+    Forces on walls follow from the velocity in the whole fluid.
+    """
+    return int(MEASURABLE[quantity].of_field == "pressure")
+
+
 @dataclass(frozen=True)
 class OutputErrors:
-    """The expected errors of an output, such as the velocity at a probe.
-
-    Arrays are (n_snapshots, *shape).
-    """
+    """The expected errors of an output, such as the velocity at a probe."""
 
     noise: Array
-    """Mean square of the error's part that varies faster than sound."""
-    slope: Array
-    """Mean square of the rest, over the `interpolation_variance` of the training runs."""
+    """(n_snapshots, *shape) mean square of the error's part that varies faster than sound."""
+    share: Array
+    """(*shape) mean square of the rest, over that of the field's error."""
 
-    def at(self, variance: Array, over_fluid: Array) -> Array:
+    def at(self, field: Array) -> Array:
         """Return the expected errors (..., n_instants, *shape) of the output in some runs.
 
-        After the trained time they grow in proportion to the errors of the whole field.
-
-        Parameters
-        ----------
-        variance : (...) `interpolation_variance` at the parameters of each run.
-        over_fluid : (..., n_instants, 2) estimated errors of the whole field in each run.
+        `field` (..., n_instants) are the estimated errors of the field.
         """
-        n_instants = over_fluid.shape[-2]
-        n_trained = len(self.noise)
-        known = np.minimum(np.arange(n_instants), n_trained - 1)
-        longer = np.ones(n_instants)
-        if n_instants > n_trained:
-            before, after = np.split(over_fluid, [n_trained], axis=-2)
-            ratios = np.max(after / before.max(axis=-2, keepdims=True), axis=-1)
-            longer = np.ones_like(over_fluid[..., 0])
-            longer[..., n_trained:] = np.maximum(1.0, ratios)
-        longer = longer.reshape(*longer.shape, *(1,) * (self.noise.ndim - 1))
-        return longer * np.sqrt(self.noise[known] + np.multiply.outer(variance, self.slope[known]))
+        noise = self.noise[np.minimum(np.arange(field.shape[-1]), len(self.noise) - 1)]
+        return np.asarray(np.sqrt(noise + np.multiply.outer(field**2, self.share)))
 
 
-def output_errors(differences: Array, places: Array, averages: Array) -> OutputErrors:
+def output_errors(
+    differences: Array, fields: Array, missed: Array, averages: Array
+) -> OutputErrors:
     """Return the errors of an output from those of held-out training runs.
 
-    Squares are averaged over the runs, and over a tenth of the time before and after.
+    Its error has a part within the basis and one that the basis misses. Over the error of the
+    field, the first is that of held-out training runs, and the second is `missed`. An estimate of
+    the field's error does not tell which part it is, so both count in full. Squares are averaged
+    over the runs; of noise, over a tenth of the time before and after.
 
     Parameters
     ----------
     differences : (n_runs, n_snapshots, *shape), full training runs less predicted ones. Diverged
         runs have values that are not finite, and are left out.
-    places : (n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances.
+    fields : (n_runs, n_snapshots), the errors of the field in these runs.
+    missed : (*shape) of `sphrom.reduction.held_out.output_shares`.
     averages : weights of a moving average over snapshots that removes sound.
     """
     finite = np.isfinite(differences).all(axis=tuple(range(1, differences.ndim)))
-    known, places = differences[finite], places[finite]
+    known = differences[finite]
     slow = np.stack([smoothed(run, averages) for run in known])
+    late = int(LEFT_OUT * known.shape[1])
     # The sound that a start emits is the same in all runs.
-    begin = slice(int(LEFT_OUT * known.shape[1]))
-    slow[:, begin] = known[:, begin]
+    slow[:, :late] = known[:, :late]
     around = hat(1 + known.shape[1] // N_PARTS)
     noise = smoothed(np.mean((known - slow) ** 2, axis=0), around)
-    if len(places) < 2:
-        return OutputErrors(noise + smoothed(slow[0] ** 2, around), 0.0 * noise)
-    variances = [interpolation_variance(np.delete(places, k, 0), p) for k, p in enumerate(places)]
-    slope = np.tensordot(1.0 / np.array(variances), slow**2, 1) / len(places)
-    return OutputErrors(noise, smoothed(slope, around))
+    of_field = float(np.mean(fields[finite][:, late:] ** 2))
+    within = np.mean(slow[:, late:] ** 2, axis=(0, 1)) / (of_field if of_field > 0.0 else np.inf)
+    return OutputErrors(noise, within + missed**2)
 
 
 def calibrate_errors(

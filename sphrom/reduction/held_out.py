@@ -7,11 +7,15 @@ approximation,
     share^2 = (e^2 of a basis without the held-out snapshots - e^2 of one with them) / |change|^2,
 
 over the held-out snapshots. Their change is the distance, in the norm of the inner product, from
-the state that the other snapshots predict. Shares are between zero and about one, by field and
-number of modes. There are two kinds of held-out snapshots:
+the state that the other snapshots predict. Shares are between zero and about one, by number of
+modes, of the velocity, the pressure, and the pressure in modes of its own
+(`sphrom.reduction.own_pressure`). There are two kinds of held-out snapshots:
 
 - each training run in turn: its change is from the other runs, interpolated at its parameters;
 - the second half of all training runs: its change is from the state at half time.
+
+An output, such as the velocity at a probe, is linear in the state. Its values in the snapshots
+determine what a basis misses of it, as the modes are sums of snapshots (`output_shares`).
 
 Everything follows from the products of snapshots with each other, so the points are read once. The
 products lose digits below the square root of rounding, far below the error of a basis.
@@ -23,7 +27,7 @@ are those of all runs: rates without the predicted run would lead to far worse c
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,13 +35,15 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, dataset
+from sphrom.metrics.quantities import FROM_FIELDS, OF_WALLS, stored
 from sphrom.reduction.correction import interpolation_weights, learn_correction
 from sphrom.reduction.trial_basis import TrialBasis
 
 OF_FIELDS = ", of velocity and of c0 rho'/rho0 less its mean"
 _UNHELD = (
     "root mean square error of the best approximation over the change {}, of training snapshots "
-    "left out of a basis of 1, 2, ... modes; of the velocity, then of c0 rho'/rho0 less its mean"
+    "left out of a basis of 1, 2, ... modes; of the velocity, then of c0 rho'/rho0 less its mean, "
+    "then of the same in as many modes of its own"
 )
 
 ROUNDING = 1e-13
@@ -60,6 +66,8 @@ class SnapshotProducts:
     """Means over the fluid: of the velocities, and of q less its mean [m2/s2]."""
     states: Array
     """In the inner product of whole states, which defines the modes."""
+    means: Array
+    """(n_snapshots,) mean density fluctuations of snapshots whose states have none, else zeros."""
 
 
 def snapshot_products(
@@ -92,7 +100,7 @@ def snapshot_products(
         first = product.density_scale**2 * density + mixed + mixed[:, None]
         first += product.density_offset**2 * total
     fields = flow / total, density_scale**2 * without_mean / total
-    return SnapshotProducts(fields, first + flow)
+    return SnapshotProducts(fields, first + flow, sums / total * basis.separate_mean)
 
 
 class FieldProducts(Record):
@@ -147,15 +155,25 @@ def _root(squares: Array) -> Array:
 
 
 class UnheldShares(Record):
-    """Shares [m/s over the norm] by number of modes and field: velocity, then q."""
+    """Shares [m/s over the norm] by number of modes: of velocity, of q, of q in own modes."""
 
     parameters: Array = dataset(
-        "size field", "m/s over the inner product's",
+        "size unheld_field", "m/s over the inner product's",
         _UNHELD.format("from the other training runs"),
     )  # fmt: skip
     time: Array = dataset(
-        "run size field", "m/s over the inner product's", _UNHELD.format("since half time")
+        "run size unheld_field", "m/s over the inner product's", _UNHELD.format("since half time")
     )
+
+
+class OutputShares(Record):
+    """The root mean squares that bases of 1, 2, ... modes miss, of an output over its field."""
+
+    quantities: Mapping[str, Array] = stored(
+        (*FROM_FIELDS, *OF_WALLS), "size", units="{} over m/s",
+        meaning="{}: root mean square that a basis of 1, 2, ... modes misses in training runs left "
+        "out, over that of the velocity, or of c0 rho'/rho0 for pressures",
+    )  # fmt: skip
 
 
 def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> UnheldShares:
@@ -173,36 +191,74 @@ def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> Un
     snapshots = np.arange(len(products.states)).reshape(n_runs, -1)
     per_run = snapshots.shape[1]
     half = (per_run + 1) // 2
-    late = int(LEFT_OUT * per_run)
-    time = np.ones((n_runs, n_modes, 2))
-    parameters = []
-    for run in range(n_runs):
-        if half < per_run:
-            trained = snapshots[:, :half].ravel()
-            left_out = snapshots[run, half:]
-            expected = np.zeros((len(products.states), len(left_out)))
-            expected[snapshots[run, half - 1]] = 1.0
-            time[run] = _shares(products, trained, left_out, expected, n_modes)
+    time = np.ones((n_runs, n_modes, 3))
+    for run in range(n_runs if half < per_run else 0):
+        expected = np.zeros((len(products.states), per_run - half))
+        expected[snapshots[run, half - 1]] = 1.0
+        early = snapshots[:, :half].ravel()
+        time[run] = _shares(products, early, snapshots[run, half:], expected, n_modes)
+    parameters = [
+        _shares(products, trained, left_out, expected, n_modes)
+        for trained, left_out, expected in _runs_left_out(products, places)
+    ]
+    if not parameters:
+        return UnheldShares(parameters=UNTRIED * time.max(axis=0), time=time)
+    return UnheldShares(parameters=np.max(parameters, axis=0), time=time)
+
+
+def output_shares(
+    products: SnapshotProducts, outputs: Array, fields: Indices, places: Array, n_modes: int
+) -> Array:
+    """Return the root mean squares (n_modes, n_outputs) that bases miss of outputs, over a field's.
+
+    As for fields, the error of a basis with the runs that were left out is subtracted. Shares are
+    zero with a single training run, or if each run lies between the others.
+
+    Parameters
+    ----------
+    outputs : (n_snapshots, n_outputs), linear in the states.
+    fields : (n_outputs,) zero for the velocity, one for q.
+    places : as in `unheld_shares`.
+    """
+    missed = np.zeros((n_modes, outputs.shape[1]))
+    of_fields = np.zeros((n_modes, 3))
+    for trained, left_out, _ in _runs_left_out(products, places):
+        for known, sign in ((trained, 1.0), (np.arange(len(outputs)), -1.0)):
+            modes, coordinates = _approximation(products.states, known, left_out, n_modes)
+            own = modes.T @ outputs[known]
+            for size in range(1, n_modes + 1):
+                errors = outputs[left_out] - coordinates[:size].T @ own[:size]
+                missed[size - 1] += sign * np.mean(errors**2, axis=0)
+            of_fields += sign * _errors(products, known, left_out, n_modes)
+    squares = of_fields[:, fields]
+    return np.sqrt(np.maximum(missed, 0.0) / np.where(squares > 0.0, squares, np.inf))
+
+
+def _runs_left_out(
+    products: SnapshotProducts, places: Array
+) -> Iterator[tuple[Indices, Indices, Array]]:
+    """Yield the other snapshots, those of a run left out, and their predictions by the others.
+
+    Runs between others are not left out. Predictions (n_snapshots, n_left_out) are weights.
+    """
+    n_runs = len(places)
+    snapshots = np.arange(len(products.states)).reshape(n_runs, -1)
+    late = int(LEFT_OUT * snapshots.shape[1])
+    for run in range(n_runs if n_runs > 1 else 0):
         others = np.delete(np.arange(n_runs), run)
-        if len(others) == 0:
-            continue
         weights, distance = interpolation_weights(places[others], places[run])
         if distance > 0.0:
             left_out = snapshots[run, late:]
             expected = np.zeros((len(products.states), len(left_out)))
             for other, weight in zip(others, weights, strict=True):
                 expected[snapshots[other, late:], np.arange(len(left_out))] = weight
-            trained = snapshots[others].ravel()
-            parameters.append(_shares(products, trained, left_out, expected, n_modes))
-    if not parameters:
-        return UnheldShares(parameters=UNTRIED * time.max(axis=0), time=time)
-    return UnheldShares(parameters=np.max(parameters, axis=0), time=time)
+            yield snapshots[others].ravel(), left_out, expected
 
 
 def _shares(
     products: SnapshotProducts, trained: Indices, left_out: Indices, expected: Array, n_modes: int
 ) -> Array:
-    """Return the shares (n_modes, 2) of a change that a basis without that change misses.
+    """Return the shares (n_modes, 3) of a change that a basis without that change misses.
 
     The change is the difference of the snapshots `left_out` from their predictions. `expected`
     (n_snapshots, n_left_out) has the weights of all snapshots in each prediction.
@@ -212,7 +268,7 @@ def _shares(
     change = float(np.einsum("ik,ij,jk->", changes, products.states, changes))
     size = float(products.states[left_out, left_out].sum())
     if change <= ROUNDING * size:
-        return np.zeros((n_modes, 2))
+        return np.zeros((n_modes, 3))
     everything = np.arange(len(products.states))
     without, with_them = (
         _errors(products, known, left_out, n_modes) for known in (trained, everything)
@@ -220,22 +276,37 @@ def _shares(
     return np.asarray(np.sqrt(np.maximum(without - with_them, 0.0) * len(left_out) / change))
 
 
-def _errors(products: SnapshotProducts, trained: Indices, left_out: Indices, n_modes: int) -> Array:
-    """Return the mean square errors (n_modes, 2) of bases of `trained` in snapshots `left_out`."""
-    values, vectors = np.linalg.eigh(products.states[np.ix_(trained, trained)])
+def _approximation(
+    states: Array, trained: Indices, left_out: Indices, n_modes: int
+) -> tuple[Array, Array]:
+    """Return modes, as weights of the trained snapshots, and the coordinates of those left out.
+
+    `states` are the products of the snapshots that define the modes. Shapes are (n_trained, n) and
+    (n, n_left_out), with at most `n_modes` modes.
+    """
+    values, vectors = np.linalg.eigh(states[np.ix_(trained, trained)])
     kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][:n_modes]
     modes = vectors[:, kept] / np.sqrt(values[kept])
-    coordinates = modes.T @ products.states[np.ix_(trained, left_out)]
-    errors = np.empty((n_modes, 2))
-    for k, field in enumerate(products.fields):
-        with_modes = modes.T @ field[np.ix_(trained, left_out)]
-        of_modes = modes.T @ field[np.ix_(trained, trained)] @ modes
-        for size in range(1, n_modes + 1):
-            held = coordinates[:size]
-            among = of_modes[: len(held), : len(held)] @ held
-            more = np.sum(held * (among - 2.0 * with_modes[:size]), axis=0)
-            errors[size - 1, k] = np.maximum(field[left_out, left_out] + more, 0.0).mean()
-    return errors
+    return modes, modes.T @ states[np.ix_(trained, left_out)]
+
+
+def _errors(products: SnapshotProducts, trained: Indices, left_out: Indices, n_modes: int) -> Array:
+    """Return the mean square errors (n_modes, 3) of bases of `trained` in snapshots `left_out`."""
+    errors = []
+    velocity, pressure = products.fields
+    for states, fields in ((products.states, (velocity, pressure)), (pressure, (pressure,))):
+        modes, coordinates = _approximation(states, trained, left_out, n_modes)
+        for field in fields:
+            with_modes = modes.T @ field[np.ix_(trained, left_out)]
+            of_modes = modes.T @ field[np.ix_(trained, trained)] @ modes
+            of_sizes = []
+            for size in range(1, n_modes + 1):
+                held = coordinates[:size]
+                among = of_modes[: len(held), : len(held)] @ held
+                more = np.sum(held * (among - 2.0 * with_modes[:size]), axis=0)
+                of_sizes.append(np.maximum(field[left_out, left_out] + more, 0.0).mean())
+            errors.append(of_sizes)
+    return np.array(errors).T
 
 
 DIVERGED = 1e6
@@ -323,7 +394,8 @@ def best_size(errors: Array) -> int:
 def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indices, Array]:
     """Return the best number of integrated modes of models with 1, 2, ... modes (n_sizes,).
 
-    Return also the expected errors (n_sizes, 2). `runs` (n_runs, n_snapshots, n_integrated) are
+    It has the least error of the velocity: the modes' pressure may not be that of the model. Return
+    also the expected errors (n_sizes, 2). `runs` (n_runs, n_snapshots, n_integrated) are
     training runs, repeated by models that integrate 1, 2, ... modes. A single training run cannot
     predict coordinates at other parameters, so all modes are then integrated.
     """
@@ -332,6 +404,6 @@ def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indic
         tried = runs[0 if len(sizes.places) > 1 else n_modes - 1 : n_modes]
         by_integrated = {run.shape[2]: sizes.errors(n_modes, run) for run in tried}
         # Of equal ones, the most modes.
-        chosen.append(min(by_integrated, key=lambda n: (float(np.prod(by_integrated[n])), -n)))
+        chosen.append(min(by_integrated, key=lambda n: (float(by_integrated[n][0]), -n)))
         errors.append(by_integrated[chosen[-1]])
     return np.array(chosen), np.array(errors)

@@ -216,10 +216,7 @@ def fitted(
 
 
 def choose(
-    space: PressureSpace,
-    runs: Mapping[int, TrainingRun],
-    predicted: Mapping[int, TrainingRun],
-    places: Array,
+    space: PressureSpace, predicted: Mapping[int, Mapping[int, TrainingRun]], places: Array
 ) -> tuple[str, Array, dict[int, Array]]:
     """Return the best candidate, and the relative errors (n_candidates, n_runs) of all.
 
@@ -230,13 +227,14 @@ def choose(
 
     Parameters
     ----------
-    runs : the model's training runs by number, which have the coordinates of full runs.
-    predicted : the same, predicted by the other runs.
+    predicted : all training runs, by the number of the one that the others predict. Those have
+        the coordinates of full runs.
     places : (n_runs, n_parameters), scaled so that distances are comparable.
     """
     errors = np.full((len(CANDIDATES), len(places)), DIVERGED)
     added: dict[str, dict[int, Array]] = {candidate: {} for candidate in CANDIDATES}
-    for k, run in predicted.items():
+    for k, runs in predicted.items():
+        run = runs[k]
         others = {j: other for j, other in runs.items() if j != k}
         known = space.coordinates[list(others)].reshape(-1, len(space.gradients))
         own = np.linalg.svd(known, full_matrices=False)[2][: len(space.modes)]

@@ -24,7 +24,7 @@ from sphrom.metrics.quantities import FROM_FIELDS, OF_WALLS, stored
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import PLACES, Correction
 from sphrom.reduction.error_calibration import ErrorCalibration
-from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.held_out import FieldProducts, OutputShares
 from sphrom.reduction.limit_cycles import CycleClosure, Harmonics, TrainedCycles
 from sphrom.reduction.own_pressure import OwnPressure
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
@@ -157,6 +157,8 @@ class TrainedErrors(Record):
     held_out: HeldOutRuns | None = part(default=None)
     """None if all of them diverge."""
     differences: Mapping[str, Differences] = part(default_factory=dict)
+    outputs: Mapping[str, OutputShares] = part(default_factory=dict)
+    """Those of the model's number of modes alone."""
     units: Array = dataset("field", "m/s, Pa", "units of the errors of velocity and pressure")
 
 

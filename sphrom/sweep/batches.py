@@ -26,6 +26,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import Quantities, of_a_run
 from sphrom.metrics.quantities import PLACED, components
+from sphrom.metrics.series import REGIMES
 from sphrom.models import fom, stages
 from sphrom.models.contract import Ability, ModelRun, family_of, model_of
 from sphrom.models.stored_run import StoredRun
@@ -37,10 +38,14 @@ from sphrom.sweep.workers import Failure, Task
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """The words for the statuses."""
-PLACE = "place"
-"""Key of a run's scaled parameters."""
+REGIME = "regime"
+"""Key of a run's regime, an index of REGIMES."""
+MISSED = "missed/"
+"""Prefix of the keys of what a basis misses of a measurement in training runs."""
 ERROR = "error_estimate/"
 """Prefix of the datasets of error estimates, which some runs lack."""
+OVER_TIME = f"{ERROR}velocity_over_time", f"{ERROR}pressure_over_time"
+"""Names of the estimated errors of the fields."""
 INDICES = {"complete_run": "complete", "estimated_run": f"{ERROR}run"}
 """The datasets with the indices of those runs that others have, by their first axis."""
 MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
@@ -128,13 +133,20 @@ class SweptModel:
     def in_training(self, points: Sequence[ParameterPoint]) -> list[dict[str, Any]]:
         """Return the errors of training runs, for the bases of models at points.
 
-        Each has values by the names of a run's record, and the place of the training run. The list
-        is empty if the case has no error estimates.
+        Each has values by the names of a run's record, and by `MISSED` what the basis misses. The
+        list is empty if the case has no error estimates.
         """
         if self._fast is None:
             return []
-        pairs = self._fast.trained_differences(points)
-        return [{PLACE: place} | _kept(differences) for place, differences in pairs]
+        rows: list[dict[str, Any]] = []
+        for each in self._fast.trained_differences(points):
+            errors = dict(zip(OVER_TIME, each.fields.T, strict=True))
+            at_once: dict[str, Quantities] = {
+                n: {q: v[None] for q, v in m.items()} for n, m in each.missed.items()
+            }
+            missed = {f"{MISSED}{path}": v for path, v in _kept(at_once).items()}
+            rows.append(_kept(each.measured) | errors | missed)
+        return rows
 
     def _of_trajectory(self, point: ParameterPoint, target: Target) -> RunRecord:
         """Return the record of a run on particles."""
@@ -161,9 +173,8 @@ class SweptModel:
                 f"{ERROR}velocity": estimate.velocity_percent,
                 f"{ERROR}pressure": estimate.pressure_percent,
                 f"{ERROR}extrapolated": int(estimate.extrapolated),
-                f"{ERROR}velocity_over_time": estimate.velocity,
-                f"{ERROR}pressure_over_time": estimate.pressure,
             }
+            values |= zip(OVER_TIME, (estimate.velocity, estimate.pressure), strict=True)
             if columns := self.workspace.case.scene.columns:
                 found = run.measured_sizes
                 pairs = [found.get(column, (0.0, 0.0)) for column in columns]
@@ -174,6 +185,8 @@ class SweptModel:
         if has_slopes and self.workspace.case.sweep.sensitivities:
             derivatives = _derivatives(run)
             values["derivatives"] = np.array([*derivatives.values()])
+        if run.regime is not None:
+            values[REGIME] = REGIMES.index(run.regime)
         strains = "; ".join(run.strains)
         return RunRecord(run.point, COMPLETE, strains, values, tuple(derivatives))
 

@@ -23,16 +23,15 @@ from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
-from sphrom.metrics.measures import Oscillating
-from sphrom.metrics.quantities import MEASURABLE, PLACED, components
-from sphrom.metrics.series import OSCILLATION
+from sphrom.metrics.measures import Oscillating, in_regime
+from sphrom.metrics.quantities import MEASURABLE, components
+from sphrom.metrics.series import OSCILLATION, REGIMES
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
-from sphrom.reduction.correction import interpolation_variance
-from sphrom.reduction.error_calibration import output_errors
-from sphrom.setup.assembly import scaled_parameters, sound_averages
+from sphrom.reduction.error_calibration import field_of, output_errors
+from sphrom.setup.assembly import sound_averages
 from sphrom.store.workspace import Workspace
-from sphrom.sweep.batches import ERROR, PLACE, RunRecord, SweptModel
+from sphrom.sweep.batches import ERROR, MISSED, OVER_TIME, REGIME, RunRecord, SweptModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,7 +103,8 @@ def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Outpu
 def oscillation_of(measure: Oscillating, values: Mapping[str, Any]) -> dict[str, float]:
     """Return the oscillation in a run from the values of its record."""
     measured = {measure.quantity: values[f"measure/{measure.measure}/{measure.quantity}"]}
-    return measure.of(values["time"], measured)
+    regime = REGIMES[values[REGIME]] if REGIME in values else None
+    return in_regime(regime, measure.of(values["time"], measured))
 
 
 def _stacked(runs: Values) -> dict[str, Array]:
@@ -115,11 +115,11 @@ def _stacked(runs: Values) -> dict[str, Array]:
     arrays = {
         name: np.stack([values[name] for values in runs])
         for name in (runs[0] if runs else ())
-        if name.startswith(("measure/", PLACE)) or name.endswith("_over_time")
+        if name.startswith(("measure/", MISSED)) or name.endswith("_over_time")
         if all(name in values for values in runs)
     }
-    if (paths := [f"{ERROR}{quantity}_over_time" for quantity in PLACED])[0] in arrays:
-        arrays[ERROR] = np.stack([arrays.pop(path) for path in paths], axis=-1)
+    if OVER_TIME[0] in arrays:
+        arrays[ERROR] = np.stack([arrays.pop(path) for path in OVER_TIME], axis=-1)
     return arrays
 
 
@@ -128,7 +128,7 @@ def _averaged(case: Case, over_time: Mapping[str, Array], time: Array) -> dict[s
 
     Training runs may be shorter than other runs, or longer.
     """
-    means = {PLACE: over_time[PLACE]} if PLACE in over_time else {}
+    means = {path: values for path, values in over_time.items() if path.startswith(MISSED)}
     for path in over_time.keys() - means:
         _, name, quantity = path.split("/") if path.startswith("measure/") else ("", "", path)
         common = over_time[path][:, : len(time)]
@@ -151,23 +151,19 @@ def _outputs(
         error = over_fluid[..., 0]
         energy_errors = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
     yield Output(f"kinetic_energy{ending}", "J/m", along, energies, energy_errors)
-    trained_places = trained.get(PLACE, np.zeros(0))
-    variances = np.zeros(len(energies))
-    if len(trained_places):
-        places = runs[PLACE]
-        variances = np.array([interpolation_variance(trained_places, place) for place in places])
     for name, prefix, quantity in product(case.scene.measure, ("", FINAL), MEASURABLE):
         if (path := f"measure/{name}/{prefix}{quantity}") not in runs:
             continue
         parts: Mapping[str, Array] = {}
         if over_fluid is not None and path in trained:
             differences = trained[path]
-            estimated = over_fluid
+            fields, estimated = (of[..., field_of(quantity)] for of in (trained[ERROR], over_fluid))
             if prefix:  # the end alone
                 differences = differences[:, None]
-                estimated = estimated[:, -1:]
-            model_error = output_errors(differences, trained_places, sound_averages(case))
-            errors = model_error.at(variances, estimated)
+                fields, estimated = fields[:, -1:], estimated[:, -1:]
+            missed = trained[f"{MISSED}{path}"].mean(axis=0).reshape(differences.shape[2:])
+            model_error = output_errors(differences, fields, missed, sound_averages(case))
+            errors = model_error.at(estimated)
             parts = components(quantity, errors[:, 0] if prefix else errors)
         for component, values in components(quantity, runs[path]).items():
             column = f"{name}_{prefix}{component}{ending}"
@@ -190,8 +186,7 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
     complete = [record for record in records[:drawn] if record.values]
     if len(complete) < fewest_runs(section.levels):
         return None
-    places = scaled_parameters(case, [record.point for record in complete])
-    runs = [{**run.values, PLACE: place} for run, place in zip(complete, places, strict=True)]
+    runs = [run.values for run in complete]
     trained = SweptModel(workspace).in_training([r.point for r in records if r.values])
     points = [record.point for record in complete] if sweep_model(case) is not None else []
     beyond = sum(bool(outside(point, case.plan.train_points)) for point in points)

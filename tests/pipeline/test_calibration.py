@@ -10,6 +10,8 @@ import pytest
 import yaml
 
 from sphrom.artifacts import Artifact, open_artifact
+from sphrom.models.points.stored import mapped_starts
+from sphrom.models.points.training import _Training
 
 FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 6}
 LID: dict[str, Any] = {
@@ -94,6 +96,18 @@ def test_the_number_of_modes_is_that_of_the_least_errors_of_runs_held_out(lid, v
         assert chosen.read("generalized_coordinates").shape[1] == n_modes
         assert chosen.number("integrated_modes") == integrated[n_modes - 1]
     assert velocity_error("chosen", 70) <= 1.05 * velocity_error("corrected", 70)
+
+
+def test_a_held_out_run_has_no_part_in_the_fit_of_what_predicts_it(lid, workspace_of):
+    workspace = workspace_of(lid)
+    (section,) = (model for model in workspace.case.rom if model.name == "calibrated")
+    training = _Training(workspace, section, "all", mapped_starts(workspace).at)
+    trained = training.model().trained
+    found = [training._without(trained, k, [0, 1]) for k in (0, 1)]
+    training.projected[0] *= 1.1
+    (ours, theirs) = (training._without(trained, k, [0, 1]) for k in (0, 1))
+    assert np.array_equal(ours[0].coordinates, found[0][0].coordinates)
+    assert not np.array_equal(theirs[0].coordinates, found[1][0].coordinates)
 
 
 def test_training_runs_are_the_projected_snapshots(lid):

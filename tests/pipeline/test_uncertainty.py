@@ -22,7 +22,7 @@ from sphrom.plots.panels import save
 from sphrom.store.trajectory import measured_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import sweep as stage
-from sphrom.sweep.batches import ERROR, PLACE, UNSTABLE, RunRecord, SweptModel
+from sphrom.sweep.batches import ERROR, MISSED, UNSTABLE, RunRecord, SweptModel
 from sphrom.sweep.statistics import draw_indices, draw_quantiles, outputs_of
 
 LID = {"distribution": "uniform", "loc": 0.5, "scale": 0.5}
@@ -246,21 +246,22 @@ def test_noise_has_its_share_of_the_variance_and_means_are_free_of_it():
     case = load_case(CASE)
     random = np.random.default_rng(1)
 
-    def run(velocity: np.ndarray, place: float) -> dict[str, Any]:
+    def run(velocity: np.ndarray) -> dict[str, Any]:
         errors = {f"{ERROR}{q}_over_time": np.full(200, 0.1) for q in ("velocity", "pressure")}
         return {
             f"{ERROR}velocity": 0.1,
-            PLACE: np.array([place]),
             **errors,
             "time": np.arange(200.0),
             "kinetic_energy_over_time": np.ones(200),
             "measure/there/velocity": velocity,
             "measure/there/pressure": velocity[:, 0],
+            f"{MISSED}measure/there/velocity": np.zeros((1, 2)),
+            f"{MISSED}measure/there/pressure": np.zeros(1),
         }
 
     noise = np.tile(np.array([0.5, -0.5])[:, None], (100, 2))
-    trained = [run(noise, place) for place in range(4)]
-    runs = [run(np.full((200, 2), drawn), 1.5) for drawn in random.standard_normal(500)]
+    trained = [run(noise)] * 4
+    runs = [run(np.full((200, 2), drawn)) for drawn in random.standard_normal(500)]
     found = {each.name: each for each in outputs_of(case, runs, trained)}
     for name, share in (("there_velocity_y", 0.2), ("there_velocity_y_mean", 0.0)):
         output = found[name]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from sphrom.metrics.series import hat
-from sphrom.reduction.correction import interpolation_variance
 from sphrom.reduction.error_calibration import (
     ErrorCalibration,
     accumulated,
     calibrate_errors,
+    field_of,
     output_errors,
 )
 from sphrom.reduction.held_out import UnheldShares
@@ -134,18 +134,20 @@ def test_runs_that_diverged_are_left_out() -> None:
     assert calibrate_errors(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES) is None
 
 
-def test_the_error_of_an_output_is_noise_and_what_interpolation_misses() -> None:
-    """The latter vanishes at training points, and is a half in the middle between them."""
+def test_an_output_is_as_far_off_as_its_field_beside_noise() -> None:
+    """In training runs its error is three times that of the field, and the basis misses 4."""
     noise = np.random.default_rng(0).choice((-0.1, 0.1), (2, 500, 2))
     differences = np.concatenate((noise + np.array([0.6, 0.0]), np.full((1, 500, 2), np.nan)))
-    places = np.concatenate((PLACES, [[9.0]]))
-    found = output_errors(differences, places, hat(10))
-    known = [interpolation_variance(PLACES, place) for place in (PLACES[0], PLACES.mean(axis=0))]
-    fluid = np.ones((2, 750, 2))
-    fluid[:, 500:] = 3.0
-    errors = found.at(np.array(known), fluid)
-    expected = np.array([[0.1, 0.1], [np.hypot(0.1, 0.3), 0.1]])
-    np.testing.assert_allclose(errors[:, 250], expected, rtol=0.1)
-    np.testing.assert_allclose(errors[:, -1], 3.0 * errors[:, 499])
-    alone = output_errors(differences[:1], places[:1], hat(10)).at(np.array([7.0]), fluid[:1])
-    np.testing.assert_allclose(alone[0, 250], [np.hypot(0.1, 0.6), 0.1], rtol=0.1)
+    fields = np.full((3, 500), 0.2)
+    found = output_errors(differences, fields, np.array([4.0, 0.0]), hat(10))
+    field = np.full((2, 750), 0.2)
+    field[:, 500:] = 0.6
+    errors = found.at(field)
+    np.testing.assert_allclose(errors[:, 250], [[np.hypot(0.1, 1.0), 0.1]] * 2, rtol=0.1)
+    np.testing.assert_allclose(errors[:, -1, 0], 3.0 * errors[:, 499, 0], rtol=1e-2)
+    exact = output_errors(0.0 * noise, 0.0 * fields[:2], np.zeros(2), hat(10))
+    np.testing.assert_array_equal(exact.at(field), 0.0)
+
+
+def test_flows_and_loads_depend_on_the_velocity() -> None:
+    assert [field_of(q) for q in ("flow_rate", "force", "pressure_integral")] == [0, 0, 1]

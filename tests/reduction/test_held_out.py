@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.decomposition import decompose
-from sphrom.reduction.held_out import UNTRIED, UnheldShares, snapshot_products, unheld_shares
+from sphrom.reduction.held_out import (
+    UNTRIED,
+    SnapshotProducts,
+    UnheldShares,
+    output_shares,
+    snapshot_products,
+    unheld_shares,
+)
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, reconstruct
 
 N_POINTS, PER_RUN, N_MODES = 40, 20, 3
@@ -59,11 +66,14 @@ def share(other: TrialBasis, whole: TrialBasis, left: list[Array], change: list[
     return np.sqrt(np.maximum(excess, 0.0) / np.mean(squares @ VOLUME))
 
 
-def found(density: Array, velocity: Array, n_runs: int) -> UnheldShares:
+def multiplied(density: Array, velocity: Array) -> SnapshotProducts:
     basis = made(density, velocity, 6)
     blocks = [(r, density[:, r], velocity[:, r]) for r in (slice(0, 17), slice(17, N_POINTS))]
-    products = snapshot_products(basis, len(density), SPEED / DENSITY, blocks)
-    return unheld_shares(products, PLACES[:n_runs], N_MODES)
+    return snapshot_products(basis, len(density), SPEED / DENSITY, blocks)
+
+
+def found(density: Array, velocity: Array, n_runs: int) -> UnheldShares:
+    return unheld_shares(multiplied(density, velocity), PLACES[:n_runs], N_MODES)
 
 
 def test_a_run_left_out_is_one_that_a_basis_has_not_learnt() -> None:
@@ -79,8 +89,46 @@ def test_a_run_left_out_is_one_that_a_basis_has_not_learnt() -> None:
             change = [left[0] - density[near], left[1] - velocity[near]]
             expected.append(share(other, whole, left, change))
         np.testing.assert_allclose(
-            shares.parameters[n_modes - 1], np.max(expected, axis=0), rtol=1e-5, atol=1e-6
+            shares.parameters[n_modes - 1, :2], np.max(expected, axis=0), rtol=1e-5, atol=1e-6
         )
+
+
+def test_a_pressure_in_modes_of_its_own_misses_what_they_do() -> None:
+    """They are those of states that have no velocity."""
+    density, velocity = snapshots(2)
+    density -= density.mean(axis=1)[:, None]
+    own, still = (found(density, v, 2).parameters for v in (velocity, 0.0 * velocity))
+    squares = [  # of the changes that the shares are over
+        np.sum((SPEED / DENSITY * (density[2:20] - density[22:])) ** 2) + np.sum(change**2)
+        for change in (velocity[2:20] - velocity[22:], np.zeros(1))
+    ]
+    ratio = np.sqrt(squares[1] / squares[0])
+    np.testing.assert_allclose(own[:, 2], ratio * still[:, 1], rtol=1e-6)
+
+
+def test_outputs_miss_what_a_basis_misses_of_them() -> None:
+    """The velocity at a point, and an integral of the pressure."""
+    density, velocity = snapshots(2)
+    weights = np.random.default_rng(2).standard_normal((2, N_POINTS))
+    outputs = np.stack((velocity[:, 3, 0], SPEED / DENSITY * density @ weights[0]), axis=1)
+    shares = output_shares(
+        multiplied(density, velocity), outputs, np.array([0, 1]), PLACES[:2], N_MODES
+    )
+    for n_modes in (1, N_MODES):
+        whole, squares, fields = made(density, velocity, n_modes), 0.0, 0.0
+        for out, kept in ((slice(0, 20), slice(20, 40)), (slice(20, 40), slice(0, 20))):
+            late = slice(out.start + 2, out.stop)
+            for basis, sign in ((made(density[kept], velocity[kept], n_modes), 1), (whole, -1)):
+                states = reconstruct(basis, project(basis, density[late], velocity[late]))
+                q = SPEED / DENSITY * states[0] @ weights[0]
+                missed = outputs[late] - np.stack((states[1][:, 3, 0], q), axis=1)
+                squares += sign * np.mean(missed**2, axis=0)
+                fields += sign * errors_of(basis, density[late], velocity[late])
+        np.testing.assert_allclose(shares[n_modes - 1], np.sqrt(squares / fields), rtol=1e-5)
+    alone = output_shares(
+        multiplied(density[:20], velocity[:20]), outputs[:20], np.zeros(2, int), PLACES[:1], 2
+    )
+    np.testing.assert_array_equal(alone, 0.0)
 
 
 @pytest.mark.parametrize("n_runs", [1, 2])
@@ -94,7 +142,7 @@ def test_the_second_half_is_left_out(n_runs) -> None:
         left = [density[late], velocity[late]]
         change = [left[0] - density[late.start - 1], left[1] - velocity[late.start - 1]]
         expected = share(other, whole, left, change)
-        time = shares.time[run, N_MODES - 1]
+        time = shares.time[run, N_MODES - 1, :2]
         np.testing.assert_allclose(time, expected, rtol=1e-5, atol=1e-6)
 
 

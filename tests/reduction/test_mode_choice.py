@@ -24,12 +24,17 @@ def runs() -> np.ndarray:
     return AMPLITUDES * np.cos(phases)
 
 
-def sizes(projected: np.ndarray) -> TrainedSizes:
-    """Return what errors follow from where every mode is as much of velocity as of pressure."""
+def sizes(projected: np.ndarray, of_velocity: float = 1.0) -> TrainedSizes:
+    """Return what errors follow from where every mode is as much of velocity as of pressure.
+
+    Modes from the third have only a share of their velocity.
+    """
     n_modes, n_runs = projected.shape[2], len(projected)
-    squares = np.repeat(np.sum(projected**2, axis=2)[..., None], 2, axis=2)
-    columns = np.repeat(projected[:, :, None], 2, axis=2)
-    gram = np.stack([np.eye(n_modes)] * 2)
+    shares = np.ones((2, n_modes))
+    shares[0, 2:] = of_velocity
+    columns = shares * projected[:, :, None]
+    squares = np.sum(columns * projected[:, :, None], axis=3)
+    gram = np.stack([np.diag(share) for share in shares])
     products = FieldProducts(gram=gram, projections=columns, squares=squares)
     return TrainedSizes(PLACES[:n_runs], projected, products, np.arange(len(TIME)))
 
@@ -51,6 +56,17 @@ def test_modes_that_make_runs_wrong_are_not_integrated() -> None:
     projected = runs()
     chosen, _ = choose_integrated(sizes(projected), models(projected, wrong_from=3))
     assert np.array_equal(chosen, [1, 2, 2, 2])
+
+
+def test_modes_that_make_only_the_pressure_wrong_are_integrated() -> None:
+    """A model may have another pressure than that of its modes."""
+    projected = runs()
+    integrated = models(projected, wrong_from=5)
+    for each in integrated[2:]:
+        each[..., 2:] += noise(each[..., 2:].shape, 0.1)
+    chosen, errors = choose_integrated(sizes(projected, of_velocity=0.0), integrated)
+    assert np.array_equal(chosen, [1, 2, 3, 4])
+    assert errors[3, 1] > 1.5 * errors[1, 1]
 
 
 def test_errors_never_grow_with_modes_that_models_have() -> None:

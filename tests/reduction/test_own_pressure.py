@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,7 +130,7 @@ def filled(space: PressureSpace, setting, truth: str) -> tuple[PressureSpace, di
 def test_held_out_runs_choose_what_gives_their_pressure(settings, smooth, truth: str) -> None:
     setting = settings["lid"]
     space, runs = filled(space_of(setting, smooth), setting, truth)
-    chosen, errors, added = choose(space, runs, runs, PLACES)
+    chosen, errors, added = choose(space, dict.fromkeys(runs, runs), PLACES)
     expected = dict(zip(CANDIDATES, expected_errors(errors, PLACES), strict=True))
     assert chosen == truth, expected
     assert expected[truth] < 0.1
@@ -158,7 +159,17 @@ def test_a_run_that_diverged_does_not_count(settings, smooth) -> None:
     setting = settings["lid"]
     space, runs = filled(space_of(setting, smooth), setting, "balance")
     complete = {k: run for k, run in runs.items() if k != 2}
-    chosen, errors, _ = choose(space, complete, complete, PLACES)
+    chosen, errors, _ = choose(space, dict.fromkeys(complete, complete), PLACES)
     assert chosen == "balance"
     assert (errors[:, 2] > 1e3).all()
     assert expected_errors(errors, PLACES).max() < 1e3
+
+
+def test_each_run_is_predicted_by_the_model_without_it(settings, smooth) -> None:
+    setting = settings["lid"]
+    space, runs = filled(space_of(setting, smooth), setting, "joint")
+    at_rest = replace(runs[2], coordinates=np.zeros_like(runs[2].coordinates))
+    predicted = dict.fromkeys(runs, runs) | {2: {**runs, 2: at_rest}}
+    _, errors, _ = choose(space, predicted, PLACES)
+    assert errors[0, 2] == pytest.approx(1.0)  # all of the pressure is missed
+    assert np.delete(errors[0], 2).max() < 1e-6

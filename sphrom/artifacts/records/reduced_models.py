@@ -12,7 +12,7 @@ from sphrom.arrays import Array, Indices
 from sphrom.artifacts.records.runs import REFERENCE_POSITION, Medium
 from sphrom.declaration import Record, attribute, dataset, labelled, part
 from sphrom.metrics.quantities import FROM_FIELDS, stored
-from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, UnheldShares
+from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, OutputShares, UnheldShares
 from sphrom.reduction.mode_splines import CellSplines, LatticeCoefficients
 from sphrom.reduction.own_pressure import PressureSpace
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
@@ -77,6 +77,7 @@ class Estimate(FieldProducts):
     """The data to which error estimates are fitted."""
 
     unheld: UnheldShares = part()
+    outputs: Mapping[str, OutputShares] = part(default_factory=dict)
     start: Array = dataset(
         "training_run mode",
         "of the inner product",

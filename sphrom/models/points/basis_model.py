@@ -25,6 +25,8 @@ from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import (
     LocalErrorCalibration,
     OutputErrors,
+    compared_snapshots,
+    field_of,
     output_errors,
 )
 from sphrom.reduction.limit_cycles import CycleClosure
@@ -306,14 +308,45 @@ class BasisModel:
         return with_coefficients(stored, self.workspace.case.plan.coefficients)
 
     @cached_property
+    def missed(self) -> dict[str, Quantities]:
+        """What the basis misses of measurements, over its field's error (...) [m/s, Pa].
+
+        Operators that were stored before have no shares; nothing is missed then.
+        """
+        if self.errors is None:
+            return {}
+        found: dict[str, Quantities] = {}
+        for name, each in self.errors.differences.items():
+            shares = self.errors.outputs[name].quantities if name in self.errors.outputs else {}
+            found[name] = {
+                q: shares.get(q, np.zeros_like(e[0, :1]))[0] / self.errors.units[field_of(q)]
+                for q, e in each.quantities.items()
+            }
+        return with_coefficients(found, self.workspace.case.plan.coefficients)
+
+    @cached_property
+    def field_errors(self) -> Array:
+        """(n_held_out, n_snapshots, 2) errors of velocity and pressure in those runs [m/s, Pa]."""
+        assert self.errors is not None
+        assert self.errors.held_out is not None
+        errors = self.errors.held_out.errors * self.errors.units
+        n_snapshots = self.errors.held_out.coordinates.shape[1]
+        known = compared_snapshots(n_snapshots)
+        every = np.arange(n_snapshots)
+        each = [[np.interp(every, known, field) for field in run.T] for run in errors]
+        return np.array(each).transpose(0, 2, 1)
+
+    @cached_property
     def output_errors(self) -> dict[str, dict[str, OutputErrors]]:
         """The errors of any run by measurement and quantity, from held-out training runs."""
-        if self.errors is None or (known := self.errors.held_out) is None:
-            return {}
         averages = sound_averages(self.workspace.case)
-        places = self.places[known.run]
         return {
-            name: {q: output_errors(e, places, averages) for q, e in each.items()}
+            name: {
+                q: output_errors(
+                    e, self.field_errors[..., field_of(q)], self.missed[name][q], averages
+                )
+                for q, e in each.items()
+            }
             for name, each in self.differences.items()
         }
 

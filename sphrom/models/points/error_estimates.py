@@ -22,7 +22,7 @@ from sphrom.metrics.histories import QUANTITIES
 from sphrom.metrics.measures import ONLY_NOISE, Quantities, mean_squares, variations
 from sphrom.metrics.quantities import COEFFICIENT
 from sphrom.plots.tables import format_figure
-from sphrom.reduction.correction import interpolation_variance
+from sphrom.reduction.error_calibration import field_of
 
 if TYPE_CHECKING:
     from sphrom.models.points.fast_model import FastRun
@@ -177,9 +177,9 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
     estimated = run.estimate
     if estimated is None:
         return {}
-    variance = np.array(interpolation_variance(model.places, model.place(run.point)))
+    fields = estimated.velocity, estimated.pressure
     return {
-        name: {q: each.at(variance, estimated.errors) for q, each in quantities.items()}
+        name: {q: each.at(fields[field_of(q)]) for q, each in quantities.items()}
         for name, quantities in model.output_errors.items()
     }
 

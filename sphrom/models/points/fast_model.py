@@ -21,7 +21,8 @@ from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
-from sphrom.models.contract import Model, ModelRun
+from sphrom.metrics.series import UNDECIDED
+from sphrom.models.contract import Model, ModelRun, TrainedDifferences
 from sphrom.models.points.basis_model import BasisModel, quantities_of
 from sphrom.models.points.error_estimates import (
     ErrorEstimate,
@@ -34,7 +35,9 @@ from sphrom.models.points.stored import Fields, mapped_starts, stored_model, sto
 from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts
 from sphrom.plots.tables import format_figure
+from sphrom.reduction.limit_cycles import CycleClosure
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
+from sphrom.reduction.trained_basis import ALL_MODES
 from sphrom.reduction.trial_basis import ModeVelocities, TrialBasis
 from sphrom.setup.assembly import MOST_GROWTH, inner_product
 from sphrom.store.workspace import Workspace
@@ -161,27 +164,32 @@ class FastModel(Model[ReferenceModel]):
 
         return tangents(self, point, names, reduced, step_factor, integrator)
 
+    def regime(self, point: ParameterPoint) -> str | None:
+        closure = self.at_point(point).trained.rates[ALL_MODES].closure
+        if not isinstance(closure, CycleClosure):
+            return None
+        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+        return closure.regime(viscosity, point.factors)
+
     def measures(
         self, reduced: ReferenceModel, time: Array, coordinates: Array
     ) -> dict[str, Quantities]:
         """Return the measurements of states (n_states, n_modes) at times (n_states,) [s]."""
         return quantities_of(self.workspace.case, reduced, time, coordinates)
 
-    def trained_differences(
-        self, points: Sequence[ParameterPoint]
-    ) -> list[tuple[Array, dict[str, Quantities]]]:
-        """Return the places and the errors of training runs, for the bases of models at points.
+    def trained_differences(self, points: Sequence[ParameterPoint]) -> list[TrainedDifferences]:
+        """Return the errors of training runs, for the bases of models at points.
 
-        The errors are measurements of full runs less those of the model. The list is empty if the
-        case has no error estimates.
+        The list is empty if the case has no error estimates.
         """
         bases = [self.on_basis(name) for name in dict.fromkeys(map(self.basis_at, points))]
         found = []
         for basis in bases:
             if (errors := basis.errors) is None:
                 return []
-            for row, k in enumerate(() if errors.held_out is None else errors.held_out.run):
-                found.append((basis.places[k], items(basis.differences, row)))
+            for row in range(0 if errors.held_out is None else len(errors.held_out.run)):
+                differences = items(basis.differences, row)
+                found.append(TrainedDifferences(differences, basis.field_errors[row], basis.missed))
         return found
 
     def velocities(self, run: FastRun) -> ModeVelocities:
@@ -252,6 +260,8 @@ class FastRun(ModelRun):
     def outside(self) -> tuple[str, ...]:
         """Warnings about a run outside the trained parameters, or longer than training runs."""
         texts = super().outside
+        if self.regime == UNDECIDED:
+            texts = (*texts, "estimates of the onset differ: the flow may oscillate or be steady")
         if self.model.at_point(self.point).leaves_cycles:
             n_modes = self.model.section.size
             return (*texts, f"states of {n_modes} modes leave the trained cycles")

@@ -28,6 +28,7 @@ from sphrom.case.plan import LEAST_SNAPSHOTS
 from sphrom.case.plan_times import MAX_STEPS
 from sphrom.machine import computing_seconds
 from sphrom.metrics.series import smoothed
+from sphrom.models.points.missed_outputs import output_shares
 from sphrom.models.points.pressures import pressure_space
 from sphrom.models.points.stored import (
     calibrated,
@@ -136,7 +137,9 @@ class _Projection:
         runs = None
         if self.name in self.case.plan.corrected_bases:
             runs = training_runs(self.workspace, self.basis, self.name)
-        residual, estimate = self._error_data()
+        forces = self._wall_forces()
+        measures = self._measures()
+        residual, estimate = self._error_data(forces, measures)
         chosen = self._held_out(runs, estimate)
         stored = BasisOperators(
             rates=self.operators,
@@ -146,8 +149,8 @@ class _Projection:
             estimate=estimate,
             held_out=chosen,
             memory=closures,
-            wall_force=self._wall_forces(),
-            measure=self._measures(),
+            wall_force=forces,
+            measure=measures,
             pressure=self.pressures,
             skewness=self.operators.skewness,
         )
@@ -274,7 +277,9 @@ class _Projection:
             for name, measure in projected.items()
         }
 
-    def _error_data(self) -> tuple[ResidualFactor | None, Estimate | None]:
+    def _error_data(
+        self, forces: Mapping[str, WallForce], measures: Mapping[str, TrainedMeasure]
+    ) -> tuple[ResidualFactor | None, Estimate | None]:
         """Return the data for error estimates of models with the basis, if the case has any."""
         plan = self.case.plan
         name = self.name
@@ -296,9 +301,11 @@ class _Projection:
                 scales=scales,
                 advance=advance,
             )
-        return factor, self._estimate()
+        return factor, self._estimate(forces, measures)
 
-    def _estimate(self) -> Estimate:
+    def _estimate(
+        self, forces: Mapping[str, WallForce], measures: Mapping[str, TrainedMeasure]
+    ) -> Estimate:
         """Return products of training snapshots with the basis, and the start of each run."""
         projections_of = FieldProjections(self.whole, mode_fields(self.whole, self.points))
         starts, projections, squares = [], [], []
@@ -314,16 +321,27 @@ class _Projection:
                 found.append(projections_of.products(scaled, velocity))
             projections.append(np.concatenate([p for p, _ in found]))
             squares.append(np.concatenate([s for _, s in found]))
+        snapshots = self._snapshot_products()
+        places = scaled_parameters(self.case, self.trained)
         return Estimate(
-            unheld=self._unheld(),
+            unheld=held_out.unheld_shares(snapshots, places, self.basis.n_modes),
+            outputs=output_shares(
+                self.case,
+                self.trained,
+                snapshots,
+                forces,
+                measures,
+                self.points.walls_driven,
+                self.basis.n_modes,
+            ),
             start=np.stack(starts),
             gram=projections_of.gram,
             projections=np.stack(projections),
             squares=np.stack(squares),
         )
 
-    def _unheld(self) -> held_out.UnheldShares:
-        """Return the shares of held-out training snapshots that bases cannot represent."""
+    def _snapshot_products(self) -> held_out.SnapshotProducts:
+        """Return the products of the compared training snapshots with each other."""
         n_snapshots = len(self.trained) * len(self.compared)
         scale = self.points.density_scale
 
@@ -340,9 +358,7 @@ class _Projection:
         with ExitStack() as stack:
             mapped = map(self.workspace.mapped, self.trained)
             runs = [stack.enter_context(self.workspace.open(target)) for target in mapped]
-            products = held_out.snapshot_products(self.basis, n_snapshots, scale, read(runs))
-        places = scaled_parameters(self.case, self.trained)
-        return held_out.unheld_shares(products, places, self.basis.n_modes)
+            return held_out.snapshot_products(self.basis, n_snapshots, scale, read(runs))
 
     def _held_out(self, runs: Array | None, estimate: Estimate | None) -> HeldOut | None:
         """Return the numbers of modes that training runs determine for calibrated models.

@@ -1,4 +1,4 @@
-"""The space of own pressures of fast models, from mapped training runs."""
+"""The space of own pressures of fast models, from mapped training runs, and the choice of one."""
 
 from __future__ import annotations
 
@@ -6,9 +6,18 @@ import numpy as np
 
 from sphrom.arrays import Array, Indices
 from sphrom.models.reference.stored import mapped_runs
+from sphrom.plots.tables import format_figure
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.operator_projection import project_pressure
-from sphrom.reduction.own_pressure import WIDER, PressureSpace, pressure_modes
+from sphrom.reduction.own_pressure import (
+    CANDIDATES,
+    JOINT,
+    WIDER,
+    PressureSpace,
+    expected_errors,
+    pressure_modes,
+)
+from sphrom.reduction.trained_basis import TrainedBasis
 from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.store.workspace import Workspace
@@ -64,3 +73,16 @@ def pressure_space(
         squares=np.concatenate(squares).reshape(n_runs, -1),
     )
     return space, modes
+
+
+def report_pressure(workspace: Workspace, model: str, basis: str, trained: TrainedBasis) -> None:
+    """Report the errors of all candidates for the pressure, and which of them was chosen."""
+    if (errors := trained.pressure_errors) is None:
+        return
+    (chosen,) = trained.pressure or (JOINT,)
+    expected = map(format_figure, 100.0 * expected_errors(errors, trained.places))
+    workspace.context.report.table(
+        f"pressure of {model}, basis {basis}: {chosen}, by held-out training runs",
+        ("pressure", "error [%]"),
+        list(zip(CANDIDATES, expected, strict=True)),
+    )

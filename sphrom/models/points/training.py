@@ -21,29 +21,28 @@ from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import COEFFICIENT
 from sphrom.models.points.basis_model import BasisModel, Start, quantities_of
 from sphrom.models.points.force_training import ForceTraining, report_forces
+from sphrom.models.points.pressures import report_pressure
 from sphrom.models.points.stored import (
     calibrated,
     cycle_closure,
     mapped_starts,
     read_operators,
     recorded_of,
+    report_onset,
     sized,
     snapshot_times,
     stored_starts,
 )
 from sphrom.models.reference.stored import read_basis
-from sphrom.plots.tables import format_figure
 from sphrom.reduction.calibration import Calibration, TrainingRun
 from sphrom.reduction.correction import learn_correction
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
 from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
 from sphrom.reduction.own_pressure import (
-    CANDIDATES,
     JOINT,
     PressureSpace,
     choose,
-    expected_errors,
     fitted,
 )
 from sphrom.reduction.polynomial_model import Run
@@ -76,8 +75,9 @@ def trained_model(
     if any(model.problem is not None for model in models.values()):
         return None
     for name, model in models.items():
-        _report_pressure(model, name)
+        report_pressure(workspace, section.name, name, model.trained)
         report_forces(model, name)
+        report_onset(workspace, section.name, name, model.trained)
     with workspace.open(workspace.basis()) as artifact:
         return TrainedModel(
             bases={name: model.trained for name, model in models.items()},
@@ -101,20 +101,6 @@ def train(
     # Sums over arrays in this order have the bits of a model that is read from its artifact.
     model.trained = model.trained.mapped(np.ascontiguousarray)
     return model
-
-
-def _report_pressure(model: BasisModel, basis: str) -> None:
-    """Report the errors of all candidates for the pressure, and which of them was chosen."""
-    trained = model.trained
-    if (errors := trained.pressure_errors) is None:
-        return
-    (chosen,) = trained.pressure or (JOINT,)
-    expected = map(format_figure, 100.0 * expected_errors(errors, trained.places))
-    model.workspace.context.report.table(
-        f"pressure of {model.section.name}, basis {basis}: {chosen}, by held-out training runs",
-        ("pressure", "error [%]"),
-        list(zip(CANDIDATES, expected, strict=True)),
-    )
 
 
 class _Training:
@@ -166,9 +152,8 @@ class _Training:
         )
         trained = replace(trained, rates=self._with_linear_parts(trained))
         model = self._with(trained)
-        models = [model.projected(point, in_training=True) for point in self.points]
         try:
-            runs = [model.integrator(m.leading or m).run() for m in models]
+            models, runs = self._repeated(model)
         except CaseError as error:
             # Models without corrections may be stable at other parameters.
             model.problem = error if self.is_corrected else None
@@ -178,13 +163,15 @@ class _Training:
     def _with(self, trained: TrainedBasis) -> BasisModel:
         return BasisModel(self.workspace, self.section, self.name, trained, self.basis, self.start)
 
-    def _learnt(
+    def _repeated(self, model: BasisModel) -> tuple[list[ReferenceModel], list[Run]]:
+        """Return the model at the training points without corrections, and its runs."""
+        models = [model.projected(point, in_training=True) for point in self.points]
+        return models, [model.integrator(m.leading or m).run() for m in models]
+
+    def _corrected(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
-    ) -> BasisModel:
-        """Return the model with the corrections and steps that its own training runs teach."""
-        if self.section.time_step == AUTO:
-            steps = [0.0 if math.isfinite(run.diverged_at) else run.time_step for run in runs]
-            trained = replace(trained, first_step=np.array(steps))
+    ) -> tuple[TrainedBasis, Array]:
+        """Return the model with its correction, and its training runs without that."""
         # Coordinates that are not integrated are zero.
         coordinates = np.stack(
             [
@@ -192,11 +179,21 @@ class _Training:
                 for each, run in zip(models, runs, strict=True)
             ]
         )
-        if self.is_corrected:
-            assert self.projected is not None
-            groups = np.split(self.modes, [self._n_integrated()])
-            learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
-            trained = replace(trained, correction=learnt)
+        if not self.is_corrected:
+            return trained, coordinates
+        assert self.projected is not None
+        groups = np.split(self.modes, [self._n_integrated()])
+        learnt = learn_correction(trained.places, self.projected - coordinates, tuple(groups))
+        return replace(trained, correction=learnt), coordinates
+
+    def _learnt(
+        self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
+    ) -> BasisModel:
+        """Return the model with the corrections and steps that its own training runs teach."""
+        if self.section.time_step == AUTO:
+            steps = [0.0 if math.isfinite(run.diverged_at) else run.time_step for run in runs]
+            trained = replace(trained, first_step=np.array(steps))
+        trained, coordinates = self._corrected(trained, models, runs)
         own: dict[int, Array] = {}
         if self.stored.pressure is not None and not self.section.settles_on_cycles:
             trained, own = self._with_own_pressure(
@@ -302,25 +299,14 @@ class _Training:
 
         Its own modes have coordinates (n_snapshots, n_pressure_modes) there, by number of the run.
         """
-        model = self._with(trained)
         space = stored.of_modes(self.modes)
-        runs: dict[int, TrainingRun] = {}
-        predicted: dict[int, TrainingRun] = {}
-        usable = np.isfinite(coordinates).all(axis=(1, 2)) & space.squares.any(axis=1)
-        for k in np.flatnonzero(usable).tolist():
-            point = self.points[k]
-            runs[k] = TrainingRun(
-                models[k].polynomial,
-                _with(coordinates[k], model.added(point)),
-                self.case.plan.kinematic_viscosity(point),
-                models[k].amplitudes(self.times),
-                point.factors,
-            )
-            found = _with(coordinates[k], model.added(point, held_out=True))
-            predicted[k] = replace(runs[k], coordinates=found)
-        if len(runs) < 2:
+        usable = np.flatnonzero(space.squares.any(axis=1)).tolist()
+        runs = self._known(self._with(trained), models, coordinates, usable)
+        without = {k: self._without(trained, k, usable) for k in usable}
+        predicted = {k: known for k, known in without.items() if k in known and len(known) > 1}
+        if len(runs) < 2 or not predicted:
             return trained, {}
-        chosen, errors, held_out = choose(space, runs, predicted, trained.places)
+        chosen, errors, held_out = choose(space, predicted, trained.places)
         trained = replace(trained, pressure_errors=errors)
         if chosen == JOINT:
             return trained, {}
@@ -329,6 +315,51 @@ class _Training:
         pressure = {chosen: replace(own, modes=space.modes)}
         trained = replace(trained, pressure=pressure, measures=self._measures(self.with_own))
         return trained, held_out
+
+    def _without(
+        self, trained: TrainedBasis, k: int, usable: Sequence[int]
+    ) -> dict[int, TrainingRun]:
+        """Return the complete training runs of a model that is fitted to all of them but `k`."""
+        others = np.delete(np.arange(len(self.points)), k)
+        points = [self.points[j] for j in others]
+        rates = {}
+        for name, known in trained.rates.items():
+            fitted_to = known.calibration
+            if fitted_to is not None:
+                assert self.projected is not None
+                projected = self.projected[others][..., : known.operators.n_modes]
+                fitted_to = calibrated(self.case, points, known.operators, projected)
+            rates[name] = replace(known, calibration=fitted_to)
+        model = self._with(replace(trained, rates=rates))
+        try:
+            models, runs = self._repeated(model)
+        except CaseError:
+            return {}
+        trained, coordinates = self._corrected(model.trained, models, runs)
+        return self._known(self._with(trained), models, coordinates, usable, k)
+
+    def _known(
+        self,
+        model: BasisModel,
+        models: Sequence[ReferenceModel],
+        coordinates: Array,
+        usable: Sequence[int],
+        held_out: int | None = None,
+    ) -> dict[int, TrainingRun]:
+        """Return complete corrected training runs, one of them corrected by the others only."""
+        runs = {}
+        for k in usable:
+            point = self.points[k]
+            found = _with(coordinates[k], model.added(point, held_out=k == held_out))
+            if np.isfinite(found).all():
+                runs[k] = TrainingRun(
+                    models[k].polynomial,
+                    found,
+                    self.case.plan.kinematic_viscosity(point),
+                    models[k].amplitudes(self.times),
+                    point.factors,
+                )
+        return runs
 
     def _errors(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], coordinates: Array
@@ -347,8 +378,14 @@ class _Training:
         errors = TrainedErrors(
             factor=factor.of_model(whole, self.modes),
             products=products,
+            outputs={
+                name: shares.mapped(lambda share: share[self.modes[-1:]])
+                for name, shares in estimate.outputs.items()
+            },
             units=np.array([1.0, scale]),
         )
+        # Of velocity, and of the pressure in the modes that the model uses: own ones are the last.
+        fields = [0, -1 if trained.pressure else 1]
         held_out, own, residuals, known = [], [], [], []
         for k, (point, reduced) in enumerate(zip(self.points, models, strict=True)):
             corrected = model.corrected(reduced, point, held_out=True)
@@ -366,7 +403,7 @@ class _Training:
             np.stack(known),
             compared,
             trained.places,
-            estimate.unheld.mapped(lambda shares: shares[..., self.section.size - 1, :]),
+            estimate.unheld.mapped(lambda shares: shares[..., self.modes[-1], fields]),
         )
         complete = [k for k, (_, run) in enumerate(held_out) if np.isfinite(run).all()]
         if not complete:
