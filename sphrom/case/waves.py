@@ -1,4 +1,4 @@
-"""Whether training runs of a shaken tank have waves as steep as those that models are asked for."""
+"""Whether training runs of a shaken tank have waves as steep as the runs asked of models."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def steeper_than_training(
 ) -> Iterator[str]:
     """Yield a warning if linear theory expects a surface much steeper than in training runs.
 
-    It names the steepest of the points, and what would make training runs as steep.
+    It names the steepest of the points, and a strength that makes training runs as steep.
     """
     asked = list(points)
     asked = asked[:: math.ceil(len(asked) / MOST_POINTS)] if asked else []
@@ -54,8 +54,10 @@ def steeper_than_training(
 
 def slope_at(case: Case, point: ParameterPoint, end: float) -> float:
     """Return the largest slope of the surface until a time [s], by linear theory."""
-    plan, scene = case.plan, case.scene
-    width, depth = scene.domain.lengths[0], plan.depth(point)
+    plan = case.plan
+    scene = case.scene
+    width = scene.domain.lengths[0]
+    depth = plan.depth(point)
     times = instants(end, width, depth, scene.gravity, plan.longest_step(point))
     return largest_slope(
         times,
