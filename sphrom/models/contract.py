@@ -279,7 +279,7 @@ class TrainedDifferences:
     fields: Array
     """(n_snapshots, 2) root mean square errors of velocity [m/s] and pressure [Pa]."""
     missed: dict[str, Quantities]
-    """(...) what the basis misses of measurements, over the error of their field."""
+    """(...) errors of measurements that are due to the basis, over the error of their field."""
 
 
 @dataclass(frozen=True, kw_only=True)
