@@ -145,7 +145,7 @@ class Model:
             time_step=run.time_step,
             _labels=self._labels,
             _sample=run.sampled,
-            _measured=lambda: run.measured,
+            _measured=lambda: run.measured | run.oscillations,
             _estimate=lambda: run.estimate,
         )
 
@@ -165,7 +165,8 @@ class Model:
         measurements, such as `error_estimate_drag_force`; `error_estimate_velocity` and
         `error_estimate_pressure` (run), relative to root mean squares of the fields [%]; and
         `error_estimate_extrapolated` (run), one outside of the trained range, else zero. `status`
-        (run) is `complete` or `unstable`; values of unstable runs are NaN.
+        (run) is `complete` or `unstable`; values of unstable runs are NaN. A model with
+        `calibrated: cycle` has the `regime` (run): `steady`, `shedding` or `undecided`.
         """
         self._require(Ability.RUNS_ALONE, "run_many")
         at = self._points(rows_of(points))

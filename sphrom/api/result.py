@@ -130,16 +130,17 @@ class Labels:
         measured = dict[str, dict[str, Array]]()
         time = np.zeros(0)
         status = np.full(n_runs, "unstable")
+        regimes = [""] * n_runs
         errors = np.full((3, n_runs), np.nan)
         for k, run in enumerate(runs):
             time = run.time
             if run.failure is not None:
                 continue
-            status[k] = "complete"
+            status[k], regimes[k] = "complete", run.regime or ""
             if (own := run.estimate) is not None:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
             estimates = {f"{ERROR}{name}": each for name, each in run.measured_errors.items()}
-            own_values = run.measured | self.case.plan.oscillations.of(time, run.measured)
+            own_values = run.measured | run.oscillations
             for name, quantities in (own_values | estimates).items():
                 stacked = measured.setdefault(name, {})
                 for quantity, values in quantities.items():
@@ -151,6 +152,8 @@ class Labels:
             f"{ERROR}{name}": labelled("run", each, unit, f"estimated error: {name}")
             for (name, unit), each in zip(names, errors, strict=True)
         }
+        if any(regimes):
+            figures["regime"] = ("run", regimes)
         whole = self.dataset(measured, time, {"model": model}, "run snapshot")
         along = {name: ("run", [point[name] for point in points]) for name in points[0]}
         return whole.assign(figures | {"status": ("run", status)}).assign_coords(along)
@@ -222,9 +225,7 @@ class Result:
         """
         attributes = {"model": self.model, **self.parameters}
         labels = self._labels
-        measured = dict(self._measured())
-        measured |= labels.case.plan.oscillations.of(self.time, measured)
-        return labels.dataset(measured, self.time, attributes)
+        return labels.dataset(self._measured(), self.time, attributes)
 
     @property
     @guarded()

@@ -72,6 +72,11 @@ def _model_problems(case: Case, model: ReducedModelSection) -> Found:
     if model.from_operators and model.has_memory and plan.driving:
         reason = f"{model.projection} has operators for the viscosity alone, and"
         yield "projection", f"{reason} {plan.driving[0]} varies too; set projection: galerkin"
+    if model.settles_on_cycles:
+        trained = (point for name in bases for point in plan.bases[name])
+        if not any(plan.is_driven(point, after_start=True) for point in trained):
+            reason = "nothing drives the fluid after the start, so it comes to rest"
+            yield "calibrated", f"cycle needs periodic training runs, but {reason}"
     if model.steady and (problem := steady_problem(case)) is not None:
         yield "steady", problem
     if not points:

@@ -301,8 +301,11 @@ class FlowsPlan(PointsPlan):
         except CaseError as error:
             raise CaseError(f"parameters: operators need the flow at 0 and 1: {error}") from error
 
-    def is_driven(self, point: ParameterPoint) -> bool:
-        """Return whether anything sets the fluid in motion in a full run at a parameter point."""
+    def is_driven(self, point: ParameterPoint, *, after_start: bool = False) -> bool:
+        """Return whether anything sets the fluid in motion in a full run at a parameter point.
+
+        The initial state does not count `after_start`.
+        """
         scene = self._scene
         flow = self.flow(point)
         if any(term.acceleration is not None for term in flow.terms):
@@ -312,9 +315,9 @@ class FlowsPlan(PointsPlan):
         fluid = place[domain.contains(place)]
         if scene.has_surface and not math.isfinite(scene.level_at(point.factors)):
             return True  # a shape falls, or moves by its own pressure
-        if flow.initial_velocity(fluid).any():
+        if not after_start and flow.initial_velocity(fluid).any():
             return True
-        if not scene.has_surface and flow.initial_pressure(fluid).any():
+        if not (after_start or scene.has_surface) and flow.initial_pressure(fluid).any():
             return True
         beside = np.concatenate((place, self._beside_box(max(domain.lengths) / N_PLACES)))
         if domain.has_walls and flow.wall_velocity(beside).any():

@@ -125,7 +125,7 @@ class FittedModel:
         run = self.fast.run(self.point(place))
         if run.failure is not None:
             return None
-        measured = run.measured | self._case.plan.oscillations.of(run.time, run.measured)
+        measured = run.measured | run.oscillations
         if self._places:
             samples = run.sampled(np.array(list(self._places)))
             measured[UNNAMED] = {"velocity": samples.velocity, "pressure": samples.pressure}
@@ -222,7 +222,8 @@ class FittedEquations(FittedModel):
         measured = quantities_of(self._case, reduced, reduced.output_times.time, run.run)
         oscillations = self._case.plan.oscillations
         slopes = []
-        histories = self.stacked(measured | oscillations.of(run.time, measured))
+        regime = self.fast.regime(point)
+        histories = self.stacked(measured | oscillations.of(run.time, measured, regime))
         for k, name in enumerate(run.parameters):
             changes = items(run.measured, k)
             step = STEP * (abs(point.as_dict()[name]) or 1.0)

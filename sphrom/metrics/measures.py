@@ -28,7 +28,7 @@ from sphrom.metrics.quantities import (
     components,
     is_vector,
 )
-from sphrom.metrics.series import OSCILLATION, oscillation, oscillation_beside
+from sphrom.metrics.series import OSCILLATION, STEADY, oscillation, oscillation_beside
 
 Quantities = Mapping[str, Array]
 """The values of one measurement, by the names in `MEASURABLE`."""
@@ -131,13 +131,20 @@ class Oscillating(Column):
 class Oscillations(dict[str, Oscillating]):
     """The oscillations to determine, by the names of the measurements."""
 
-    def of(self, time: Array, measured: Mapping[str, Quantities]) -> dict[str, Quantities]:
+    def of(
+        self, time: Array, measured: Mapping[str, Quantities], regime: str | None = None
+    ) -> dict[str, Quantities]:
         """Return figures of oscillations, the same at all times (n,), and NaN for missing ones."""
         figures: dict[str, Quantities] = {}
         for name, oscillating in self.items():
-            found = oscillating.of(time, measured[oscillating.measure])
+            found = in_regime(regime, oscillating.of(time, measured[oscillating.measure]))
             figures[name] = {f: np.full(len(time), found.get(f, np.nan)) for f in OSCILLATION}
         return figures
+
+
+def in_regime(regime: str | None, figures: dict[str, float]) -> dict[str, float]:
+    """Return the figures of an oscillation in a regime; a steady flow only has a mean."""
+    return {f: v for f, v in figures.items() if regime != STEADY or f == "mean"}
 
 
 def since(time: Array, from_time: float) -> Mask:

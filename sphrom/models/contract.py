@@ -258,6 +258,10 @@ class Model(ABC, Generic[At]):
         """
         raise NotImplementedError
 
+    def regime(self, point: ParameterPoint) -> str | None:
+        """Return the regime of the flow at a parameter point, one of REGIMES; None if unknown."""
+        return None
+
     def trained_differences(self, points: Sequence[ParameterPoint]) -> list[TrainedDifferences]:
         """Return the errors of training runs, for the bases of models at points.
 
@@ -275,7 +279,7 @@ class TrainedDifferences:
     fields: Array
     """(n_snapshots, 2) root mean square errors of velocity [m/s] and pressure [Pa]."""
     missed: dict[str, Quantities]
-    """(...) what the basis misses of measurements, over the error of their field."""
+    """(...) errors of measurements that are due to the basis, over the error of their field."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -322,6 +326,17 @@ class ModelRun(ABC):
     @abstractmethod
     def measured(self) -> dict[str, Quantities]:
         """All measurements of the case (n_snapshots, ...), by name and quantity."""
+
+    @cached_property
+    def regime(self) -> str | None:
+        """The regime of the flow, one of REGIMES; None if the model does not know it."""
+        return self.model.regime(self.point)
+
+    @property
+    def oscillations(self) -> dict[str, Quantities]:
+        """The figures of oscillations (n_snapshots,), by name; NaN where the flow is steady."""
+        known = self.model.workspace.case.plan.oscillations
+        return known.of(self.time, self.measured, self.regime)
 
     @abstractmethod
     def sampled(self, points: Array) -> Samples:

@@ -6,9 +6,17 @@ settles on a cycle of its own, with another amplitude and frequency. Training ru
     C(phi) = A_0 + Re sum_k A_k exp(i k phi),    dphi/dt = omega,
 
 by a fit to their coordinates. Just beyond its onset, an oscillation follows the equation
-of Stuart and Landau (Landau 1944; Stuart 1960): squared amplitude and frequency are linear in the
-Reynolds number, and harmonic k grows with the power k of the amplitude r = |A_1|. Therefore omega,
-r^2 and A_k / r^k are interpolated in 1/nu and the other parameters, with A_1 of all runs in phase.
+of Stuart and Landau (Landau 1944; Stuart 1960), dA/dt = (sigma + i omega) A - l |A|^2 A, with the
+amplitude r^2 = sigma / l, and harmonic k grows with the power k of r = |A_1|. The equations of
+motion are affine in nu, and so are sigma and omega near the onset. The Landau coefficient l hardly
+changes where advection restores the mean flow (`docs/wake.md`). Therefore omega, r^2 and A_k / r^k
+are interpolated in nu and the other parameters, with A_1 of all runs in phase; beyond the runs, the
+line that fits all of them is continued from the nearest one. The onset is the zero of r^2.
+Estimates of it without one of the runs, and with an l that changes with nu, tell how certain it is.
+
+Below the onset, the closure is that of the onset, and disturbances are damped. The steady state
+follows from the projected rates, which know how a flow depends on nu. The mean of the cycles
+contains their effect on the mean flow, so it is not the steady state there.
 
 The rates f at a point get a constant and a linear term, fitted to the interpolated cycle,
 
@@ -31,9 +39,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset
-from sphrom.metrics.series import dominant_frequency
+from sphrom.metrics.series import SHEDDING, STEADY, UNDECIDED, dominant_frequency
 from sphrom.reduction.correction import spline_weights
 from sphrom.reduction.reduced_measures import PointForce
 from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators
@@ -49,8 +57,16 @@ N_PHASES = 64
 PHASES = 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES
 PERIODIC = 0.9
 """Least share of a run's fluctuations that the harmonics have to explain."""
+DECAYS = 0.9
+"""Amplitude in the second half of a record over that in the first, below which it decays."""
 RIDGE = 1e-4
 """Penalty of fits, over the mean square of a direction in which the cycle moves."""
+TRENDS = (-0.25, 0.25)
+"""Powers of the viscosity with which the Landau coefficient may change."""
+FARTHEST = 100.0
+"""Largest viscosity at which the onset is looked for, over that of the training runs."""
+N_HALVINGS = 50
+"""Halvings of the interval that contains the onset; the last one is at rounding."""
 DAMPINGS = (0.0, 0.0625, 0.125, 0.25, 0.5, 1.0)
 """Candidate damping rates over omega."""
 
@@ -92,7 +108,7 @@ def harmonics_of(time: Array, values: Array, frequency: float) -> Harmonics:
 def fitted_cycle(time: Array, states: Array) -> LimitCycle:
     """Return the cycle of a run's coordinates (n_snapshots, n_modes).
 
-    Raises ValueError if the run is too short or not periodic.
+    Raises ValueError if the run is too short, not periodic, or its oscillation decays.
     """
     from scipy.optimize import minimize_scalar  # few models need it
 
@@ -112,6 +128,16 @@ def fitted_cycle(time: Array, states: Array) -> LimitCycle:
         raise ValueError(
             f"is not periodic: harmonics of {frequency / (2.0 * math.pi):.4g} Hz explain "
             f"{100.0 * explained:.0f} % of its fluctuations"
+        )
+    middle = len(time) // 2
+    first, last = (
+        float(np.linalg.norm(harmonics_of(time[half], states[half], frequency)[1]))
+        for half in (slice(middle), slice(middle, None))
+    )
+    if last < DECAYS * first:
+        raise ValueError(
+            f"is not periodic: its oscillation decays, by {100.0 * (1.0 - last / first):.0f} % "
+            "from the first half of the record to the second, so the flow may be steady there"
         )
     return LimitCycle(frequency, harmonics_of(time, states, frequency))
 
@@ -188,40 +214,104 @@ class CycleClosure:
     def _radii(self) -> Array:
         return np.linalg.norm(self._harmonics[:, 1], axis=1)
 
-    def _weights(self, viscosity: float, factors: Factors) -> Array:
-        lowest = self.trained.viscosities.min()
+    @cached_property
+    def _estimates(self) -> list[tuple[Indices, Array]]:
+        """The runs and the values by which r^2 is estimated, or its sign; first the model's own.
+
+        The others are without one of the runs, or with a trend of the Landau coefficient.
+        """
+        squares = (self._radii / self._radii.max()) ** 2
+        runs = np.arange(len(squares))
+        kept = [runs, *(np.delete(runs, k) for k in runs if len(runs) > 2)]
+        trends = [self.trained.viscosities**power for power in TRENDS]
+        return [
+            *((some, squares[some]) for some in kept),
+            *((runs, squares * trend / trend.max()) for trend in trends),
+        ]
+
+    def _weights(self, viscosity: float, factors: Factors, runs: Indices | None = None) -> Array:
+        """Return the weights of all training runs, or of some, in the value at a point.
+
+        Beyond their viscosities, the value at the nearest one is continued with the slope of the
+        line that fits all runs. The slope at the end of a spline depends on differences of two
+        neighbours.
+        """
+        highest = self.trained.viscosities.max()
         sizes = {name: np.abs(x).max() or 1.0 for name, x in self.trained.values.items()}
 
         def scaled(nu: float, values: Factors) -> list[float]:
-            return [lowest / nu, *(values[name] / size for name, size in sizes.items())]
+            return [nu / highest, *(values[name] / size for name, size in sizes.items())]
 
         trained = np.array([scaled(nu, values) for nu, values in self.trained.points])
-        return spline_weights(trained, np.array(scaled(viscosity, factors)))
+        used = trained if runs is None else trained[runs]
+        place = np.array(scaled(viscosity, factors))
+        beyond = place[0] - np.clip(place[0], used[:, 0].min(), used[:, 0].max())
+        place[0] -= beyond
+        slopes = np.linalg.pinv(used - used.mean(axis=0))[0]
+        return np.asarray(spline_weights(used, place) + beyond * slopes)
 
-    def _square(self, weights: Array) -> float:
+    def _square(self, viscosity: float, factors: Factors, estimate: int = 0) -> float:
         """Return r^2 over the largest of the training runs; negative below the onset."""
-        return float(weights @ self._radii**2) / float(self._radii.max()) ** 2
+        runs, squares = self._estimates[estimate]
+        return float(self._weights(viscosity, factors, runs) @ squares)
 
-    def _between(self, weights: Array, harmonics: Harmonics, fitted: bool = True) -> Harmonics:
-        """Return interpolated harmonics; `fitted`: of a radius not below the training runs'."""
-        radius = self._radii.max() * math.sqrt(max(self._square(weights), 0.0))
-        radius = max(radius, self._radii.min()) if fitted else radius
+    def regime(self, viscosity: float, factors: Factors = NONE) -> str:
+        """Return the regime of the flow at a point, one of REGIMES."""
+        beyond = [self._square(viscosity, factors, k) > 0.0 for k in range(len(self._estimates))]
+        if np.ptp(self.trained.viscosities) == 0.0 and viscosity != self.trained.viscosities[0]:
+            return UNDECIDED  # one viscosity determines no onset
+        return SHEDDING if all(beyond) else UNDECIDED if any(beyond) else STEADY
+
+    def onsets(self, factors: Factors = NONE) -> list[float]:
+        """Return the viscosity of the onset [m2/s] by each estimate, the model's own first."""
+        return [self._onset(factors, k) for k in range(len(self._estimates))]
+
+    def _onset(self, factors: Factors, estimate: int = 0) -> float:
+        """Return the viscosity of the onset by one estimate; infinite without an onset."""
+        low = float(self.trained.viscosities.min())
+        high = FARTHEST * low
+        if self._square(high, factors, estimate) > 0.0:
+            return math.inf
+        for _ in range(N_HALVINGS):
+            middle = 0.5 * (low + high)
+            if self._square(middle, factors, estimate) > 0.0:
+                low = middle
+            else:
+                high = middle
+        return high
+
+    def _radius(self, viscosity: float, factors: Factors, fitted: bool) -> float:
+        """Return r, zero below the onset; if `fitted`, not below that of the training runs."""
+        radius = self._radii.max() * math.sqrt(max(self._square(viscosity, factors), 0.0))
+        return float(max(radius, self._radii.min()) if fitted else radius)
+
+    def _between(self, weights: Array, radius: float, harmonics: Harmonics) -> Harmonics:
+        """Return interpolated harmonics of cycles with a radius."""
         scales = (radius / self._radii[:, None]) ** ORDERS
         return np.asarray(np.tensordot(weights, scales[..., None] * self._turns * harmonics, 1))
+
+    def _held(self, viscosity: float, factors: Factors) -> float:
+        """Return a viscosity, or below the onset that of the onset, whose closure holds there."""
+        if self._square(viscosity, factors) > 0.0:
+            return viscosity
+        return min(viscosity, self._onset(factors))
 
     def cycle_at(
         self, viscosity: float, factors: Factors = NONE, fitted: bool = False
     ) -> LimitCycle:
         """Return the cycle at a point; if `fitted`, not smaller than the smallest trained one."""
         weights = self._weights(viscosity, factors)
+        radius = self._radius(viscosity, factors, fitted)
         frequency = float(weights @ self.trained.frequencies)
-        return LimitCycle(frequency, self._between(weights, self._harmonics, fitted))
+        return LimitCycle(frequency, self._between(weights, radius, self._harmonics))
 
     def at(self, viscosity: float, factors: Factors = NONE) -> Polynomial:
         """Return the added rates at a viscosity [m2/s] and values of the other parameters."""
         return self._damped(viscosity, factors, self._damping)
 
     def _damped(self, viscosity: float, factors: Factors, damping: float) -> Polynomial:
+        below = float(np.clip(self._square(viscosity, factors), -1.0, 0.0))
+        viscosity = self._held(viscosity, factors)
         rates = self.operators.at(viscosity, factors)
         pushed = np.full(N_PHASES, self.trained.amplitude)
         cycle, unfitted = (self.cycle_at(viscosity, factors, fitted) for fitted in (True, False))
@@ -230,7 +320,6 @@ class CycleClosure:
         mean = cycle.harmonics[0].real
         moving = _projector(cycle.harmonics[1:])
         linear -= damping * cycle.frequency * (np.eye(len(linear)) - moving)
-        below = min(self._square(self._weights(viscosity, factors)), 0.0)
         linear += below * cycle.frequency / (2.0 * math.pi) * moving
         return Polynomial(((missing.mean(axis=0) - linear @ mean, linear),))
 
@@ -267,7 +356,8 @@ class CycleClosure:
         """Return a force corrected by the differences between recorded loads and the model's.
 
         `trained` are the forces at the runs' parameters, and `loads` the harmonics
-        (1 + N_HARMONICS, 6) [N/m, N] of the recorded ones.
+        (1 + N_HARMONICS, 6) [N/m, N] of the recorded ones. Beyond the viscosities of the runs the
+        differences are those of the nearest one, because they are not linear over so long a way.
         """
 
         def modelled(at: PointForce, cycle: LimitCycle) -> Array:
@@ -280,8 +370,13 @@ class CycleClosure:
                 for recorded, at, cycle in zip(loads, trained, self.trained.cycles, strict=True)
             ]
         )
+        viscosity = self._held(viscosity, factors)
         cycle = self.cycle_at(viscosity, factors, fitted=True)
-        missing = around(self._between(self._weights(viscosity, factors), defects))
+        radius = self._radius(viscosity, factors, fitted=True)
+        known = self.trained.viscosities
+        within = float(np.clip(viscosity, known.min(), known.max()))
+        weights = self._weights(within, factors)
+        missing = around(self._between(weights, radius, defects))
         linear = _slope(cycle.states, missing)
         constant = missing.mean(axis=0) - linear @ cycle.harmonics[0].real
         return replace(force, polynomial=force.polynomial.plus(Polynomial(((constant, linear),))))

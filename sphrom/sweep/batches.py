@@ -26,6 +26,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import Quantities, of_a_run
 from sphrom.metrics.quantities import PLACED, components
+from sphrom.metrics.series import REGIMES
 from sphrom.models import fom, stages
 from sphrom.models.contract import Ability, ModelRun, family_of, model_of
 from sphrom.models.stored_run import StoredRun
@@ -37,8 +38,10 @@ from sphrom.sweep.workers import Failure, Task
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """The words for the statuses."""
+REGIME = "regime"
+"""Key of a run's regime, an index of REGIMES."""
 MISSED = "missed/"
-"""Prefix of the keys of what a basis misses of a measurement in training runs."""
+"""Prefix of the keys of errors of measurements that are due to the basis, in training runs."""
 ERROR = "error_estimate/"
 """Prefix of the datasets of error estimates, which some runs lack."""
 OVER_TIME = f"{ERROR}velocity_over_time", f"{ERROR}pressure_over_time"
@@ -130,7 +133,7 @@ class SweptModel:
     def in_training(self, points: Sequence[ParameterPoint]) -> list[dict[str, Any]]:
         """Return the errors of training runs, for the bases of models at points.
 
-        Each has values by the names of a run's record, and by `MISSED` what the basis misses. The
+        Each has values by the names of a run's record, and by `MISSED` those due to the basis. The
         list is empty if the case has no error estimates.
         """
         if self._fast is None:
@@ -182,6 +185,8 @@ class SweptModel:
         if has_slopes and self.workspace.case.sweep.sensitivities:
             derivatives = _derivatives(run)
             values["derivatives"] = np.array([*derivatives.values()])
+        if run.regime is not None:
+            values[REGIME] = REGIMES.index(run.regime)
         return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
 
 

@@ -23,15 +23,15 @@ from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
-from sphrom.metrics.measures import Oscillating
+from sphrom.metrics.measures import Oscillating, in_regime
 from sphrom.metrics.quantities import MEASURABLE, components
-from sphrom.metrics.series import OSCILLATION
+from sphrom.metrics.series import OSCILLATION, REGIMES
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.reduction.error_calibration import field_of, output_errors
 from sphrom.setup.assembly import sound_averages
 from sphrom.store.workspace import Workspace
-from sphrom.sweep.batches import ERROR, MISSED, OVER_TIME, RunRecord, SweptModel
+from sphrom.sweep.batches import ERROR, MISSED, OVER_TIME, REGIME, RunRecord, SweptModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,7 +103,8 @@ def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Outpu
 def oscillation_of(measure: Oscillating, values: Mapping[str, Any]) -> dict[str, float]:
     """Return the oscillation in a run from the values of its record."""
     measured = {measure.quantity: values[f"measure/{measure.measure}/{measure.quantity}"]}
-    return measure.of(values["time"], measured)
+    regime = REGIMES[values[REGIME]] if REGIME in values else None
+    return in_regime(regime, measure.of(values["time"], measured))
 
 
 def _stacked(runs: Values) -> dict[str, Array]:

@@ -26,7 +26,7 @@ from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
 from sphrom.metrics.draws import fewest_runs
 from sphrom.metrics.measures import DRY, STATISTICS
-from sphrom.metrics.series import NO_OSCILLATION, OSCILLATION
+from sphrom.metrics.series import BELOW_ONSET, NO_OSCILLATION, OSCILLATION, REGIMES, STEADY
 from sphrom.models.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
@@ -39,6 +39,7 @@ from sphrom.sweep.batches import (
     FAILED,
     MEASURED_ERRORS,
     NOT_RUN,
+    REGIME,
     STATES,
     UNSTABLE,
     RunRecord,
@@ -182,6 +183,8 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
+    if any(REGIME in record.values for record in records):
+        names[REGIME] = None
     names |= FIGURES
     if any(MEASURED_ERRORS[0] in record.values for record in records):
         names |= {f"error_estimate_{name}": "%" for name in case.scene.columns}
@@ -250,6 +253,9 @@ class Results:
             ("output", "least", "at", "mean", "greatest", "at"),
             list(_summary(records, rows, names)),
         )
+        if regimes := Counter(REGIMES[r.values[REGIME]] for r in records if REGIME in r.values):
+            words = (f"{counted(n, 'run')} {name}" for name, n in regimes.items())
+            report.info(f"regimes: {', '.join(words)}")
         show_lost(report, [record for record in records if record.status != COMPLETE])
         if times := case.plan.times_in_words:
             report.info(times)
@@ -338,7 +344,8 @@ def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> lis
     for (row, values), (name, measure) in product(complete, case.plan.oscillations.items()):
         figures = statistics.oscillation_of(measure, values)
         row |= {f"{name}_{figure}": value for figure, value in figures.items()}
-        row[f"{name}_reason"] = "" if "frequency" in figures else NO_OSCILLATION
+        missing = BELOW_ONSET if row.get(REGIME) == STEADY else NO_OSCILLATION
+        row[f"{name}_reason"] = "" if "frequency" in figures else missing
     return rows
 
 
@@ -351,6 +358,8 @@ def _row(case: Case, record: RunRecord, names: Iterable[str]) -> Cells:
     for name in FIGURES:
         if (value := values.get(name.replace("error_estimate_", ERROR))) is not None:
             row[name] = float(value)
+    if REGIME in values:
+        row[REGIME] = REGIMES[values[REGIME]]
     row |= zip(record.derivative_names, values.get("derivatives", ()), strict=True)
     if MEASURED_ERRORS[0] in values:
         pairs = np.stack([values[path] for path in MEASURED_ERRORS], axis=1).tolist()

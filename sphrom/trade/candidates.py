@@ -18,10 +18,12 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, TestValues
 from sphrom.case.studies import at_resolution, changed, values_at
 from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, TrainingSection
+from sphrom.console import Reporter
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import Probes, Samples
+from sphrom.metrics.series import BELOW_ONSET, STEADY
 from sphrom.models import fom, stages
-from sphrom.models.contract import Ability, family_of
+from sphrom.models.contract import Ability, family_of, model_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
@@ -53,6 +55,24 @@ FULL_MODEL: dict[str, tuple[str, str, tuple[float, ...]]] = {
 def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
     """Return the points at which models are compared: test points, or else training points."""
     return case.plan.test_points or case.plan.train_points
+
+
+def oscillating_points(
+    workspace: Workspace, points: Sequence[ParameterPoint], report: Reporter
+) -> tuple[ParameterPoint, ...]:
+    """Return the points where the first reduced model is not steady; the others do not count.
+
+    Raises CaseError if it is steady at all points.
+    """
+    case = workspace.case
+    model = model_of(workspace, first_model(case))
+    beyond = tuple(point for point in points if model.regime(point) != STEADY)
+    steady = ", ".join(point.label for point in points if point not in beyond)
+    if not beyond:
+        raise CaseError(f"trade.measure: {case.trade.measure}: {steady}: {BELOW_ONSET}")
+    if steady:
+        report.info(f"{steady} does not count: {BELOW_ONSET}")
+    return beyond
 
 
 def global_basis(case: Case) -> str:

@@ -41,6 +41,7 @@ from sphrom.trade.candidates import (
     candidates,
     first_model,
     make_runs,
+    oscillating_points,
     prepared,
     sampled,
     trade_points,
@@ -101,6 +102,7 @@ class _Trade:
         self.oscillating = case.plan.oscillations.get(self.measured or "")
         if self.oscillating is not None:
             self.measured = self.oscillating.measure
+            points = oscillating_points(self.wider, points, context.report)
         self.full: dict[ParameterPoint, Samples] = {}
         for point in points:
             with self.workspace.open(self.workspace.full_run(point)) as trajectory:

@@ -9,9 +9,9 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 302_300, 239
+TOKENS, MODULES = 303_800, 239
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
-TEST_LINES = 28_650
+TEST_LINES = 28_900
 LARGEST_SHARE = 0.16
 """Of a package's tokens in all."""
 LONGEST = 450

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sphrom.metrics.series import dominant_frequency
+from sphrom.metrics.series import SHEDDING, STEADY, UNDECIDED, dominant_frequency
 from sphrom.reduction.limit_cycles import (
     CycleClosure,
     LimitCycle,
@@ -24,7 +24,7 @@ ONSET = 50.0
 
 def rates_of(reynolds: float, a: np.ndarray) -> np.ndarray:
     """Return the rates of an oscillation, its shift of the mean, and two modes that follow it."""
-    growth, omega = (reynolds - ONSET) / 200.0, 1.0 + reynolds / 100.0
+    growth, omega = 0.5 * (1.0 - ONSET / reynolds), 3.0 - 100.0 / reynolds
     x, y, shift, p, q = a
     return np.array(
         [
@@ -71,12 +71,12 @@ def closure(operators: ReducedOperators) -> CycleClosure:
     return CycleClosure(operators, TrainedCycles.of_runs(VISCOSITIES, [{}, {}], cycles, 0.0))
 
 
-@pytest.mark.parametrize("reynolds", [80.0, 100.0, 120.0, 150.0])
+@pytest.mark.parametrize("reynolds", [55.0, 80.0, 100.0, 120.0, 150.0])
 def test_the_cycle_is_that_of_stuart_and_landau(closure: CycleClosure, reynolds: float) -> None:
     cycle = closure.cycle_at(1.0 / reynolds)
     squares = np.sum(cycle.states[:, :2] ** 2, axis=1)
-    assert cycle.frequency == pytest.approx(1.0 + reynolds / 100.0, rel=1e-6)
-    assert squares == pytest.approx((reynolds - ONSET) / 200.0, rel=1e-4)
+    assert cycle.frequency == pytest.approx(3.0 - 100.0 / reynolds, rel=1e-6)
+    assert squares == pytest.approx(0.5 * (1.0 - ONSET / reynolds), rel=1e-4)
 
 
 @pytest.mark.parametrize("reynolds", [80.0, 100.0, 120.0])
@@ -91,7 +91,7 @@ def test_a_model_settles_on_the_cycle(
         late = slice(-1600, None)
         amplitude = np.abs(states[late, 0]).max() / np.abs(truth[:, 0]).max()
         frequency = dominant_frequency(times[late], states[late, 0])
-        wanted = (1.0 + reynolds / 100.0) / (2.0 * np.pi)
+        wanted = (3.0 - 100.0 / reynolds) / (2.0 * np.pi)
         if tolerance is None:
             assert amplitude != pytest.approx(1.0, abs=0.03)
         else:
@@ -100,12 +100,81 @@ def test_a_model_settles_on_the_cycle(
             assert states[late].mean(axis=0) == pytest.approx(truth.mean(axis=0), abs=0.03)
 
 
-def test_below_the_onset_oscillations_decay(
-    operators: ReducedOperators, closure: CycleClosure
+@pytest.mark.parametrize("reynolds", [43.0, 30.0])
+def test_below_the_onset_models_end_in_the_steady_state(
+    operators: ReducedOperators, closure: CycleClosure, reynolds: float
 ) -> None:
-    rates = operators.at(1.0 / 40.0).plus(closure.at(1.0 / 40.0))
-    _, states = integrated(rates, 0.1 * np.ones(N_MODES), 300.0)
-    assert np.abs(states[-400:, :2]).max() < 0.02
+    """The truth is zero there, whereas the mean of its cycles would go on to fall."""
+    rates = operators.at(1.0 / reynolds).plus(closure.at(1.0 / reynolds))
+    _, states = integrated(rates, 0.3 * np.ones(N_MODES), 300.0)
+    assert np.abs(states[-400:]).max() < 2e-3
+    assert closure.regime(1.0 / reynolds) == STEADY
+
+
+def law(values: list[float], squares: list[float], factors: list[dict[str, float]]) -> CycleClosure:
+    """Return a closure of cycles with some squared amplitudes."""
+    harmonics = np.zeros((len(values), 5, N_MODES), dtype=complex)
+    harmonics[:, 1, 0] = np.sqrt(squares)
+    cycles = [LimitCycle(1.0, each) for each in harmonics]
+    trained = TrainedCycles.of_runs(1.0 / np.array(values), factors, cycles, 0.0)
+    return CycleClosure(None, trained)  # type: ignore[arg-type]
+
+
+def test_the_onset_is_that_of_the_trained_cycles(closure: CycleClosure) -> None:
+    assert 1.0 / closure.onsets()[0] == pytest.approx(ONSET, rel=1e-5)
+
+
+def test_between_estimates_the_regime_is_undecided() -> None:
+    values, squares = [80.0, 100.0, 120.0], [0.375, 0.51, 7.0 / 12.0]
+    found = law(values, squares, [{}] * 3)
+    pairs = np.array([[1, 2], [0, 2], [0, 1]])
+    lines = [np.polyfit(1.0 / np.array(values)[p], np.array(squares)[p], 1) for p in pairs]
+    assert found.onsets()[1:4] == pytest.approx([-b / a for a, b in lines], rel=1e-9)
+    low, high = 1.0 / max(found.onsets()), 1.0 / min(found.onsets())
+    assert low < 48.0 < 52.0 < high
+    wanted = {low - 0.1: STEADY, low + 0.1: UNDECIDED, high - 0.1: UNDECIDED, high + 0.1: SHEDDING}
+    assert {value: found.regime(1.0 / value) for value in wanted} == wanted
+
+
+def test_the_line_that_is_continued_is_that_of_all_runs() -> None:
+    """An amplitude near the end of the range that is too large changes it little."""
+    values, squares = np.array([60.0, 80.0, 120.0]), [1.0 / 6.0, 0.375 + 0.04, 7.0 / 12.0]
+    slope = np.polyfit(1.0 / values, squares, 1)[0]
+    onset = law(list(values), squares, [{}] * 3).onsets()[0]
+    assert onset == pytest.approx(1.0 / 60.0 - squares[0] / slope, rel=1e-9)
+    assert 1.0 / onset == pytest.approx(ONSET, rel=0.01)
+
+
+def test_estimates_of_the_onset_agree_better_the_nearer_the_runs_are() -> None:
+    spreads = []
+    for values in ([80.0, 120.0], [60.0, 80.0], [55.0, 80.0]):
+        onsets = 1.0 / np.array(law(values, [1.0 - ONSET / v for v in values], [{}] * 2).onsets())
+        assert onsets[0] == pytest.approx(ONSET)
+        assert onsets.min() < ONSET < onsets.max()
+        spreads.append(np.ptp(onsets))
+    assert spreads[0] > 2.0 * spreads[1] > 2.0 * spreads[2]
+
+
+def test_the_onset_depends_on_other_parameters() -> None:
+    """The width of a channel, say, moves it from 50 to 60."""
+    values = [80.0, 120.0, 80.0, 120.0]
+    factors = [{"width": w} for w in (1.0, 1.0, 2.0, 2.0)]
+    squares = [1.0 - (40.0 + 10.0 * f["width"]) / v for v, f in zip(values, factors, strict=True)]
+    found = law(values, squares, factors)
+    for width, onset in ((1.0, 50.0), (1.5, 55.0), (2.0, 60.0)):
+        assert 1.0 / found.onsets({"width": width})[0] == pytest.approx(onset, rel=0.04)
+
+
+def test_runs_at_one_viscosity_determine_no_onset() -> None:
+    found = law([100.0], [0.5], [{}])
+    assert set(found.onsets()) == {np.inf}
+    assert [found.regime(1.0 / value) for value in (100.0, 90.0)] == [SHEDDING, UNDECIDED]
+
+
+def test_an_oscillation_that_decays_is_refused() -> None:
+    times, states = integrated(lambda a: rates_of(49.0, a), 0.1 * np.ones(N_MODES), 40.0)
+    with pytest.raises(ValueError, match=r"its oscillation decays, by \d+ % .* may be steady"):
+        fitted_cycle(times, states)
 
 
 def test_a_force_has_what_training_runs_recorded(closure: CycleClosure) -> None:
@@ -123,6 +192,19 @@ def test_a_force_has_what_training_runs_recorded(closure: CycleClosure) -> None:
     found = force.at(np.zeros(len(states)), states, 0.0 * states, np.zeros(len(states)))
     expected = 2.0 + 3.0 * states[:, 0] + states[:, 3]
     assert found[:, 0, 0] == pytest.approx(expected, abs=1e-2)
+
+
+@pytest.mark.parametrize(("reynolds", "expected"), [(30.0, 2.0), (200.0, 3.0)])
+def test_differences_of_forces_are_not_extrapolated(
+    closure: CycleClosure, reynolds: float, expected: float
+) -> None:
+    zero = Polynomial(((np.zeros(6), np.zeros((6, N_MODES))),))
+    own = PointForce(zero, np.zeros((6, N_MODES)), np.zeros((2, 6)))
+    loads = [np.zeros((5, 6), dtype=complex) for _ in VISCOSITIES]
+    loads[0][0, 0], loads[1][0, 0] = 2.0, 3.0
+    force = closure.force_at(own, [own, own], loads, 1.0 / reynolds, {})
+    found = force.at(np.zeros(1), np.zeros((1, N_MODES)), np.zeros((1, N_MODES)), np.zeros(1))
+    assert found[0, 0, 0] == pytest.approx(expected, abs=1e-6)
 
 
 def test_what_is_not_periodic_is_refused() -> None:

@@ -170,6 +170,6 @@ def test_each_run_is_predicted_by_the_model_without_it(settings, smooth) -> None
     space, runs = filled(space_of(setting, smooth), setting, "joint")
     at_rest = replace(runs[2], coordinates=np.zeros_like(runs[2].coordinates))
     predicted = dict.fromkeys(runs, runs) | {2: {**runs, 2: at_rest}}
-    _, errors = choose(space, predicted, PLACES)
+    _, errors, _ = choose(space, predicted, PLACES)
     assert errors[0, 2] == pytest.approx(1.0)  # all of the pressure is missed
     assert np.delete(errors[0], 2).max() < 1e-6

@@ -105,6 +105,12 @@ class Sweep(Record, kind="sphrom/sweep"):
         "Eq. 3.11",
         default=None,
     )
+    regime: Indices | None = dataset(
+        "complete_run",
+        "1",
+        "regime of the flow: 0 steady, 1 shedding, 2 undecided",
+        default=None,
+    )
     measure: Mapping[str, Measured] = part(default_factory=dict)
     error_estimate: Estimates | None = part(default=None)
     derivatives: Array | None = dataset(

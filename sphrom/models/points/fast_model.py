@@ -21,6 +21,7 @@ from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
+from sphrom.metrics.series import UNDECIDED
 from sphrom.models.contract import Model, ModelRun, TrainedDifferences
 from sphrom.models.points.basis_model import BasisModel, quantities_of
 from sphrom.models.points.error_estimates import (
@@ -34,7 +35,9 @@ from sphrom.models.points.stored import Fields, mapped_starts, stored_model, sto
 from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts
 from sphrom.plots.tables import format_figure
+from sphrom.reduction.limit_cycles import CycleClosure
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, automatic
+from sphrom.reduction.trained_basis import ALL_MODES
 from sphrom.reduction.trial_basis import ModeVelocities, TrialBasis
 from sphrom.setup.assembly import MOST_GROWTH, inner_product
 from sphrom.store.workspace import Workspace
@@ -161,6 +164,13 @@ class FastModel(Model[ReferenceModel]):
 
         return tangents(self, point, names, reduced, step_factor, integrator)
 
+    def regime(self, point: ParameterPoint) -> str | None:
+        closure = self.at_point(point).trained.rates[ALL_MODES].closure
+        if not isinstance(closure, CycleClosure):
+            return None
+        viscosity = self.workspace.case.plan.kinematic_viscosity(point)
+        return closure.regime(viscosity, point.factors)
+
     def measures(
         self, reduced: ReferenceModel, time: Array, coordinates: Array
     ) -> dict[str, Quantities]:
@@ -250,6 +260,8 @@ class FastRun(ModelRun):
     def outside(self) -> tuple[str, ...]:
         """Warnings about a run outside the trained parameters, or longer than training runs."""
         texts = super().outside
+        if self.regime == UNDECIDED:
+            texts = (*texts, "estimates of the onset differ: the flow may oscillate or be steady")
         if self.model.at_point(self.point).leaves_cycles:
             n_modes = self.model.section.size
             return (*texts, f"states of {n_modes} modes leave the trained cycles")

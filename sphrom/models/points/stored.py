@@ -6,6 +6,7 @@ number of modes: it contains the residual of the projection onto these modes alo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -20,15 +21,19 @@ from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import Quantities, with_coefficients
 from sphrom.models.reference.stored import mapped_runs, read_points
 from sphrom.models.starts import RunStarts, start
+from sphrom.plots.tables import format_figure
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles, fitted_cycle
 from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.reduction.trained_basis import ALL_MODES, TrainedBasis
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
 from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
+STEADY_SHARE = 0.3
+"""Fluctuations of a steady run over the largest ones of training runs; the rest is noise."""
 N_BLOCK_SNAPSHOTS = 16
 """Number of snapshots that are projected at once."""
 
@@ -90,16 +95,40 @@ def cycle_closure(
     times = snapshot_times(case)
     cycles = []
     amplitude = assembly.amplitude_of(case, points[0])
-    for point, run in zip(points, runs, strict=True):
+    sizes = np.linalg.norm(runs - runs.mean(axis=1, keepdims=True), axis=(1, 2))
+    shares = sizes / sizes.max()
+    for point, run, share in zip(points, runs, shares.tolist(), strict=True):
         try:
             cycles.append(fitted_cycle(times, run))
         except ValueError as error:
             remedy = "see time.spin_up and time.final_time"
+            if share < STEADY_SHARE:
+                remedy = f"it is steady, with {100.0 * share:.0f} % of the fluctuations of others"
+                remedy += "; leave it out of parameters.train"
             raise ValueError(f"the training run at {point.label}: {error}; {remedy}") from error
     viscosities = np.array([case.plan.kinematic_viscosity(point) for point in points])
     pushed = 0.0 if amplitude is None else float(amplitude(times[-1:])[0])
     factors = [point.factors for point in points]
     return CycleClosure(operators, TrainedCycles.of_runs(viscosities, factors, cycles, pushed))
+
+
+def report_onset(workspace: Workspace, model: str, basis: str, trained: TrainedBasis) -> None:
+    """Report the Reynolds number of the onset, with the other parameters as in the first run."""
+    closure = trained.rates[ALL_MODES].closure
+    if not isinstance(closure, CycleClosure):
+        return
+    report = workspace.context.report
+    point = workspace.case.plan.bases[basis][0]
+    scale = point.reynolds * workspace.case.plan.kinematic_viscosity(point)
+    found = closure.onsets(point.factors)
+    if math.isinf(found[0]):
+        report.warn(f"{model}, basis {basis}: training runs determine no onset")
+        return
+    onset, low, high = (format_figure(scale / x, 3) for x in (found[0], max(found), min(found)))
+    report.info(
+        f"{model}, basis {basis}: oscillates from reynolds={onset} on, by estimates from {low} to "
+        f"{high}"
+    )
 
 
 def snapshot_times(case: Case) -> Array:

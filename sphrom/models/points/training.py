@@ -28,6 +28,7 @@ from sphrom.models.points.stored import (
     mapped_starts,
     read_operators,
     recorded_of,
+    report_onset,
     sized,
     snapshot_times,
     stored_starts,
@@ -76,6 +77,7 @@ def trained_model(
     for name, model in models.items():
         report_pressure(workspace, section.name, name, model.trained)
         report_forces(model, name)
+        report_onset(workspace, section.name, name, model.trained)
     with workspace.open(workspace.basis()) as artifact:
         return TrainedModel(
             bases={name: model.trained for name, model in models.items()},
