@@ -25,7 +25,7 @@ from sphrom.case.plan_times import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.models.contract import Ability, family_of
+from sphrom.models.contract import Ability, ModelRun, family_of
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
@@ -136,6 +136,8 @@ class Model:
         run = self._fast.run(self._point, self._lengthened(final_time))
         if run.failure is not None:
             raise UnstableError(f"{run.name}: {run.failure}")
+        for strain in run.strains:
+            self._warn(f"{self._point.label}: {strain}")
         return Result(
             model=self.name,
             parameters=self.parameters,
@@ -170,7 +172,17 @@ class Model:
         """
         self._require(Ability.RUNS_ALONE, "run_many")
         at = self._points(rows_of(points))
-        return self._labels.runs(map(self._fast.run, at), [p.as_dict() for p in at], self.name)
+        doubts = list[str]()
+
+        def run(point: ParameterPoint) -> ModelRun:
+            made: ModelRun = self._fast.run(point)
+            doubts.extend(f"{point.label}: {strain}" for strain in made.strains[:1])
+            return made
+
+        found = self._labels.runs(map(run, at), [p.as_dict() for p in at], self.name)
+        if doubts:
+            self._warn(f"{len(doubts)} of {len(at)} runs are in doubt, such as {doubts[0]}")
+        return found
 
     @guarded()
     @checked

@@ -53,7 +53,7 @@ MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
 
 @dataclass(frozen=True)
 class RunRecord:
-    """One run of a sweep: its values, or the reason why it has none."""
+    """One run of a sweep: its values, and the reason why it has none or is in doubt."""
 
     point: ParameterPoint
     status: int
@@ -187,7 +187,8 @@ class SweptModel:
             values["derivatives"] = np.array([*derivatives.values()])
         if run.regime is not None:
             values[REGIME] = REGIMES.index(run.regime)
-        return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
+        strains = "; ".join(run.strains)
+        return RunRecord(run.point, COMPLETE, strains, values, tuple(derivatives))
 
 
 def _values(time: Array, step: float, energies: Array, speed: float) -> dict[str, Any]:
