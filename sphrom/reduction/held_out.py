@@ -313,6 +313,8 @@ DIVERGED = 1e6
 """Relative error assigned if a run diverged."""
 NEARER = 0.5
 """Distance of predictions from training runs, over that of held-out runs."""
+CLOSE = 1.1
+"""Velocity's error, over the least one, up to which more integrated modes are preferred."""
 ALIKE = 1.03
 """Product of errors, over the least one, up to which fewer modes are as good."""
 
@@ -394,7 +396,8 @@ def best_size(errors: Array) -> int:
 def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indices, Array]:
     """Return the best number of integrated modes of models with 1, 2, ... modes (n_sizes,).
 
-    It has the least error of the velocity: the modes' pressure may not be that of the model. Return
+    It is the largest with nearly the least error of the velocity: modes that are not integrated may
+    not be predicted at all, and their pressure may not be that of the model. Return
     also the expected errors (n_sizes, 2). `runs` (n_runs, n_snapshots, n_integrated) are
     training runs, repeated by models that integrate 1, 2, ... modes. A single training run cannot
     predict coordinates at other parameters, so all modes are then integrated.
@@ -403,7 +406,7 @@ def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> tuple[Indic
     for n_modes in range(1, sizes.largest + 1):
         tried = runs[0 if len(sizes.places) > 1 else n_modes - 1 : n_modes]
         by_integrated = {run.shape[2]: sizes.errors(n_modes, run) for run in tried}
-        # Of equal ones, the most modes.
-        chosen.append(min(by_integrated, key=lambda n: (float(by_integrated[n][0]), -n)))
+        least = min(error[0] for error in by_integrated.values())
+        chosen.append(max(n for n, e in by_integrated.items() if e[0] <= CLOSE * least))
         errors.append(by_integrated[chosen[-1]])
     return np.array(chosen), np.array(errors)
