@@ -150,7 +150,8 @@ class Labels:
             time = run.time
             if run.failure is not None:
                 continue
-            status[k], regimes[k] = "complete", run.regime
+            status[k] = "complete"
+            regimes[k] = run.regime
             if (own := run.estimate) is not None:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
             estimates = {f"{ERROR}{name}": each for name, each in run.measured_errors.items()}

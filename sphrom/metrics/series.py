@@ -30,7 +30,7 @@ STEADY, SHEDDING, UNDECIDED = REGIMES = ("steady", "shedding", "undecided")
 BELOW_ONSET = "the model's flow is steady there, below the onset of the oscillation"
 """Why a run in the regime STEADY has no frequency and no amplitude."""
 TOO_CLOSE = "estimates of the onset differ: the flow may oscillate or be steady"
-"""What is known of a run in the regime UNDECIDED."""
+"""A warning about a run in the regime UNDECIDED."""
 NO_OSCILLATION = "fewer than three periods of an oscillation"
 """Why a record has no frequency and no amplitude."""
 AT_REST, SETTLED, LEAST_SETTLED = 0.05, 1e-3, 0.1

@@ -253,9 +253,8 @@ class Results:
             ("output", "least", "at", "mean", "greatest", "at"),
             list(_summary(records, rows, names)),
         )
-        if regimes := Counter(REGIMES[r.values[REGIME]] for r in records if REGIME in r.values):
-            words = (f"{counted(n, 'run')} {name}" for name, n in regimes.items())
-            report.info(f"regimes: {', '.join(words)}")
+        if regimes := [r.values[REGIME] for r in records if REGIME in r.values]:
+            report.info(f"regimes: {statistics.regimes_in_words(regimes)}")
         show_lost(report, [record for record in records if record.status != COMPLETE])
         if times := case.plan.times_in_words:
             report.info(times)

@@ -103,7 +103,10 @@ def test_a_sweep_marks_what_oscillates(made: Path, sphrom) -> None:
     assert "beat: 1 of 4 runs have no frequency and no amplitude, and statistics leave" in words
     assert f"leave them out: {BELOW_ONSET}" in words
     assert float(found[-1]["beat_frequency [Hz]"]) == pytest.approx(1.0, rel=0.01)
-    assert "regimes: 1 run steady, 1 run undecided, 2 runs shedding" in words
+    assert "regimes: 1 run steady, 2 runs shedding, 1 run undecided" in words
+    sphrom("report", made / "wave.yaml", "--out", made / "runs", "--quiet", code=0)
+    page = " ".join((made / "runs/report.html").read_text().split())
+    assert "regimes: 1 run steady, 2 runs shedding, 1 run undecided" in page
 
 
 def test_python_and_fits_do_not_count_oscillations_below_the_onset(
