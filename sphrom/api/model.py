@@ -26,7 +26,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.series import TOO_CLOSE, UNDECIDED
-from sphrom.models.contract import Ability, family_of
+from sphrom.models.contract import Ability, ModelRun, family_of
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.setup.context import StageContext
 from sphrom.signals import guarded
@@ -139,6 +139,8 @@ class Model:
             raise UnstableError(f"{run.name}: {run.failure}")
         if run.regime == UNDECIDED:
             self._warn(TOO_CLOSE)
+        for strain in run.strains:
+            self._warn(f"{self._point.label}: {strain}")
         return Result(
             model=self.name,
             parameters=self.parameters,
@@ -174,7 +176,17 @@ class Model:
         """
         self._require(Ability.RUNS_ALONE, "run_many")
         at = self._points(rows_of(points))
-        return self._labels.runs(map(self._fast.run, at), [p.as_dict() for p in at], self.name)
+        doubts = list[str]()
+
+        def run(point: ParameterPoint) -> ModelRun:
+            made: ModelRun = self._fast.run(point)
+            doubts.extend(f"{point.label}: {strain}" for strain in made.strains[:1])
+            return made
+
+        found = self._labels.runs(map(run, at), [p.as_dict() for p in at], self.name)
+        if doubts:
+            self._warn(f"{len(doubts)} of {len(at)} runs are in doubt, such as {doubts[0]}")
+        return found
 
     @guarded()
     @checked

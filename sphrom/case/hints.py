@@ -13,6 +13,7 @@ from sphrom.case.model_sections import AUTO
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.studies import Region, sweep_model, sweep_points
+from sphrom.case.waves import steeper_than_training
 from sphrom.metrics.series import shortest_period
 from sphrom.sph.fluid import ROUNDING
 from sphrom.sph.walls.kinds import KINDS
@@ -52,6 +53,7 @@ def case_warnings(case: Case) -> list[str]:
         *_of_histories(case),
         *_of_filling(case),
         *_extrapolations(case, "parameters.test", case.plan.test_points),
+        *steeper_than_training(case, "parameters.test", case.plan.test_points),
         *_of_models(case),
         *_of_numerics(case),
     ]
@@ -179,6 +181,7 @@ def _of_models(case: Case) -> Iterator[str]:
             yield f"rom.{i}.until: {beyond_training(trained)}"
         unseen = [point for point in case.plan.rom_points(model) if point not in case.plan.points]
         yield from _extrapolations(case, f"rom.{i}.parameters", unseen)
+        yield from steeper_than_training(case, f"rom.{i}.parameters", unseen, model)
         for point in unseen:
             if (start := case.plan.start_point(point)) != point:
                 yield (
@@ -247,14 +250,16 @@ def slow_sweep(case: Case) -> str | None:
     )
 
 
-def sweep_beyond_training(case: Case) -> str | None:
-    """Return a warning with the number of points of a reduced sweep beyond the trained range."""
+def sweep_beyond_training(case: Case) -> Iterator[str]:
+    """Yield warnings of a reduced sweep: of points beyond the trained range, and of high waves."""
     model = sweep_model(case)
     points = sweep_points(case)
+    if model is not None:
+        yield from steeper_than_training(case, "sweep", points, model)
     beyond = [point for point in points if outside(point, case.plan.train_points)]
     if model is None or not beyond:
-        return None
-    return (
+        return
+    yield (
         f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].label}, are outside of "
         f"the trained range: {model.name} extrapolates there"
     )

@@ -84,6 +84,7 @@ def rates(
     gravity: float,
     viscosity: float,
     growth: float,
+    most: float,
     force_x: float,
     force_y: float,
     closure: Array,
@@ -91,7 +92,10 @@ def rates(
     work: Array,
     out: Array,
 ) -> None:
-    """Compute the rates of a state (n_modes + n_surface,), `mass` and `work` being overwritten."""
+    """Compute the rates of a state (n_modes + n_surface,), `mass` and `work` being overwritten.
+
+    Gravity has the factor 1 + growth A^2 for waves of amplitude A, at most that of A^2 = `most`.
+    """
     n_modes, n_surface = tables.stream.shape[4], tables.slope.shape[1]
     p_x, p_y, p_xx, p_xy, p_yy = work[0], work[1], work[2], work[3], work[4]
     mass[:] = 0.0
@@ -101,7 +105,7 @@ def rates(
         energy += state[k] * state[k] / (gravity * tables.norm)
     for s in range(n_surface):
         energy += state[n_modes + s] * state[n_modes + s]
-    gravity = gravity * (1.0 + growth * energy) - force_y
+    gravity = gravity * (1.0 + growth * min(energy, most)) - force_y
     for q in range(tables.weights.size):
         height, slope = depth, 0.0
         for s in range(n_surface):
@@ -216,8 +220,8 @@ def run_all(
 
     Parameters
     ----------
-    given : (n_runs, 4) depth [m], gravity [m/s2], kinematic viscosity [m2/s], and the growth of
-        gravity with the square of the waves' amplitude [1/m2].
+    given : (n_runs, 5) depth [m], gravity [m/s2], kinematic viscosity [m2/s], the growth of gravity
+        with the square of the waves' amplitude [1/m2], and the square beyond which it ends [m2].
     force : (n_runs, 2 n_steps + 1, 2) [m/s2] at the steps and between.
     closure : (n_runs, n_modes + n_surface, n_modes + n_surface) [1/s].
     time_step : [s].
@@ -233,7 +237,7 @@ def run_all(
         stage = np.empty(n_all)
         rate = np.empty(n_all)
         total = np.empty(n_all)
-        depth, gravity, viscosity, growth = given[run]
+        depth, gravity, viscosity, growth, most = given[run]
         dt = time_step
         for step in range((n_snapshots - 1) * n_substeps):
             total[:] = 0.0
@@ -245,7 +249,7 @@ def run_all(
                     stage[i] = state[i] + ahead * rate[i]
                 f_x, f_y = force[run, at]
                 # As separate arguments the same numbers would change the last bits of runs.
-                given_now = depth, gravity, viscosity, growth, f_x, f_y
+                given_now = depth, gravity, viscosity, growth, most, f_x, f_y
                 rates(tables, stage, *given_now, closure[run], mass, work, rate)
                 factor = dt / 3 if part in (1, 2) else dt / 6
                 for i in range(n_all):

@@ -123,7 +123,7 @@ class History:
     sound: float | None = None
     """Share [%] of the reference's pressure over the field that these averages remove.
 
-    It is sound, particle noise, and what else changes within the period. None without averages, or
+    It is sound, particle noise, and all other changes within the period. None without averages, or
     if snapshots are too far apart to tell.
     """
 

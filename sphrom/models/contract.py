@@ -280,7 +280,7 @@ class TrainedDifferences:
     fields: Array
     """(n_snapshots, 2) root mean square errors of velocity [m/s] and pressure [Pa]."""
     missed: dict[str, Quantities]
-    """(...) what the basis misses of measurements, over the error of their field."""
+    """(...) errors of measurements that are due to the basis, over the error of their field."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -374,6 +374,11 @@ class ModelRun(ABC):
         return tuple(text for text in texts if text is not None)
 
     @property
+    def strains(self) -> tuple[str, ...]:
+        """How far the states of a run are from all of those in training, where that is known."""
+        return ()
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """Why a completed run may be wrong, as far as is known without a full run."""
-        return self.outside
+        return (*self.outside, *self.strains)

@@ -29,6 +29,7 @@ from sphrom.reduction.stream_functions import DEGREE
 from sphrom.reduction.surface_basis import (
     N_COLUMNS,
     N_HEIGHTS,
+    SLOPE_BEYOND_TRAINING,
     SurfaceBasis,
     TrainedGraph,
     gauss_points,
@@ -38,14 +39,15 @@ from sphrom.reduction.surface_basis import (
 
 STEPS_A_PERIOD = 24
 """Of the fastest mode of the elevation."""
-SLOPE_BEYOND_TRAINING, LEAST_DEPTH = 1.5, 0.05
-"""The largest slope of a run over the largest trained, and the least depth over the mean depth."""
+STEEPEST, LEAST_DEPTH = 1.0, 0.05
+"""The largest slope of a run, unless training is near it, and the least depth over the mean depth.
+The highest standing wave has a crest of 90 degrees (Penney and Price, Phil. Trans. A 244, 1952)."""
 N_BELOW = 16
 """Of the points of integration of the pressure's slope, from the bottom to the surface."""
 BLOCK = 8192
 """Number of pressures that are computed at a time, to limit memory."""
 REASONS = {
-    kernels.STEEP: "the surface is steeper than in training",
+    kernels.STEEP: "the surface is so steep that it would break",
     kernels.ABOVE: "a crest is above the splines' box",
     kernels.DRY: "the bottom falls dry",
     kernels.DIVERGED: "the run has diverged",
@@ -82,6 +84,8 @@ class GraphModel:
     """Calibrated; it multiplies gravity in the rates, but neither in pressure nor in energies."""
     gravity_growth: float = 0.0
     """Of that factor, relative, with the square of the waves' amplitude [1/m2]."""
+    largest_square: float = math.inf
+    """Of the waves' amplitude [m2], beyond which that factor is constant."""
     longest_step: float = math.inf
     """The longest step that resolves the force [s]."""
 
@@ -98,9 +102,10 @@ class GraphModel:
         return min(period / STEPS_A_PERIOD, self.longest_step)
 
     @property
-    def given(self) -> tuple[float, float, float, float]:
-        """Depth, gravity, viscosity and the growth of gravity, as the kernels take them."""
-        return self.depth, self.gravity_factor * self.gravity, self.viscosity, self.gravity_growth
+    def given(self) -> tuple[float, float, float, float, float]:
+        """Depth, gravity, viscosity, growth of gravity and its end, as the kernels take them."""
+        gravity = self.gravity_factor * self.gravity
+        return self.depth, gravity, self.viscosity, self.gravity_growth, self.largest_square
 
     @property
     def closure_matrix(self) -> Array:
@@ -138,6 +143,12 @@ class GraphModel:
             coordinates[..., len(self.basis.stream_modes) :] @ surface_modes_at(self.basis, x, 0).T
         )
         return np.asarray(self.basis.space.bottom + self.depth + fluctuation)
+
+    def steepness(self, coordinates: Array) -> Array:
+        """Return the largest slope (...,) of the surface at the columns of integration."""
+        slopes = surface_modes_at(self.basis, integration_columns(self.basis.space)[0], 1)
+        surface = coordinates[..., len(self.basis.stream_modes) :]
+        return np.asarray(np.abs(surface @ slopes.T).max(axis=-1))
 
     def pressure(self, times: Array, coordinates: Array, points: Array) -> Array:
         """Return pressures (n_times, n_points) over the density [m2/s2], zero above the surface.
@@ -243,6 +254,7 @@ def calibrated_model(plain: GraphModel, trained: TrainedGraph) -> GraphModel:
         depth=plain.depth + trained.rise,
         gravity_factor=trained.gravity_factor,
         gravity_growth=trained.gravity_growth,
+        largest_square=trained.largest_square,
         closure=trained.closure,
     )
 
@@ -272,7 +284,7 @@ def run_many(models: Sequence[GraphModel], times: Array, starts: Sequence[Array]
     kernels.run_all(
         _tables(basis),
         kernels.Limits(
-            SLOPE_BEYOND_TRAINING * basis.largest_slope,
+            max(STEEPEST, SLOPE_BEYOND_TRAINING * basis.largest_slope),
             basis.space.top - basis.space.bottom,
             LEAST_DEPTH,
         ),

@@ -8,6 +8,8 @@ changes with the square of the waves' amplitude compensates for it:
 
     g (1 + alpha + beta A^2),    A^2 = |b|^2 + 2 |a|^2/(g L)
 
+Beyond the largest A^2 in training the factor is constant, as it would grow without a bound.
+
 The particles' mean level rises a little above the depth at the start; so does the calibrated
 model's depth.
 
@@ -194,6 +196,7 @@ def _train(
         uncalibrated_velocity_error=float(uncalibrated[1]),
         best_elevation_error=float(projected[0]),
         best_velocity_error=float(projected[1]),
+        largest_square=fit.largest_square,
         **fit.change(fit.numbers),
     )
 
@@ -212,6 +215,7 @@ class _Fit:
         norm = projected[0].run.gravity * projected[0].model.basis.space.width / 2
         squares = np.sum(b**2, axis=1) + np.sum(a**2, axis=1) / norm
         self.amplitude = float(np.mean(squares)) or 1.0
+        self.largest_square = float(np.max(squares))
         free = np.ones((len(self.scale),) * 2, dtype=bool)
         free[self.n_modes :, self.n_modes :] = False
         self.entries = np.nonzero(free)

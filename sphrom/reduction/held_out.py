@@ -15,7 +15,7 @@ modes, of the velocity, the pressure, and the pressure in modes of its own
 - the second half of all training runs: its change is from the state at half time.
 
 An output, such as the velocity at a probe, is linear in the state. Its values in the snapshots
-determine what a basis misses of it, as the modes are sums of snapshots (`output_shares`).
+determine the part outside of a basis, as the modes are sums of snapshots (`output_shares`).
 
 Everything follows from the products of snapshots with each other, so the points are read once. The
 products lose digits below the square root of rounding, far below the error of a basis.

@@ -18,6 +18,8 @@ N_COLUMNS, N_HEIGHTS = 24, 6
 """Of the points of integration."""
 SURFACE_VARIANCE = 1e-6
 """Share of the elevation's variance that its modes leave out."""
+SLOPE_BEYOND_TRAINING = 1.5
+"""The largest slope of a run over the largest trained, beyond which the run is in doubt."""
 
 
 class SurfaceBasis(Record):
@@ -27,14 +29,18 @@ class SurfaceBasis(Record):
     stream_modes: Array = dataset("mode coefficient", "m2/s", "stream functions of unit energy")
     surface_modes: Array = dataset("surface_mode cosine", "1", "orthonormal amplitudes of cosines")
     energies: Array = dataset("mode", "1", "coordinates' mean squares in training")
-    noise: float = attribute("1", "share of the energy that the fit of snapshots leaves out")
+    noise: float = attribute(
+        "1",
+        "mean square of one direction's coordinate by noise alone",
+        at="noise_of_a_direction",
+        default=0.0,
+    )
     largest_slope: float = attribute("1", "of the surface in training")
 
     @property
     def modes_above_noise(self) -> int:
-        """How many modes have more energy than the noise of one direction."""
-        share = self.energies / self.energies.sum()
-        return int((share > self.noise / share.size).sum())
+        """How many modes have more energy than noise has in one direction."""
+        return int((self.energies > self.noise).sum())
 
     def reduced(self, n_modes: int, n_surface: int) -> SurfaceBasis:
         """Return the basis of the leading modes."""
@@ -89,6 +95,9 @@ def make_basis(
 ) -> SurfaceBasis:
     """Return the modes of training runs; the elevation has as many as its variance requires.
 
+    White noise has the same energy in all directions of the stream functions. The noise of one of
+    them is that of the fits over their number, however many modes are kept.
+
     Parameters
     ----------
     coefficients : (n_runs, n_snapshots, n_coefficients) [m2/s].
@@ -102,6 +111,7 @@ def make_basis(
         matrix, weights = _weighted_curl(space, elevations)
         product += (matrix.T * weights**2) @ matrix / len(heights)
     energies, vectors = np.linalg.eigh(snapshots @ product @ snapshots.T / len(snapshots))
+    floor = noise**2 * float(energies.sum()) / snapshots.shape[1]
     energies, vectors = energies[::-1][:n_modes], vectors[:, ::-1][:, :n_modes]
     modes = vectors.T @ snapshots / np.sqrt(len(snapshots) * energies)[:, None]
     cosines = cosine_coordinates(heights, elevation.shape[-1] // 2)
@@ -113,7 +123,7 @@ def make_basis(
         stream_modes=modes,
         surface_modes=directions[:n_surface],
         energies=energies,
-        noise=noise**2,
+        noise=floor,
         largest_slope=0.0,
     )
     slopes = (
@@ -131,6 +141,9 @@ class TrainedGraph(Record):
     rise: float = attribute("m", "of the mean level above the depth, in training runs")
     gravity_factor: float = attribute("1", "of gravity in the calibrated model")
     gravity_growth: float = attribute("1/m2", "of gravity with the square of the waves' amplitude")
+    largest_square: float = attribute(
+        "m2", "of the waves' amplitude in training runs", default=math.inf
+    )
     closure: Array = dataset("rate coordinate", "1/s", "linear closure of the calibrated model")
     elevation_error: float = attribute("1", "of the elevation, calibrated")
     velocity_error: float = attribute("1", "of the velocity, calibrated")

@@ -284,5 +284,5 @@ def _describe_sweep(case: Case, report: Reporter) -> None:
         report.info(f"a sweep of {swept}: {counted(len(points), 'run')}")
         if (advice := slow_sweep(case)) is not None:
             report.info(advice)
-        if (warning := sweep_beyond_training(case)) is not None:
+        for warning in sweep_beyond_training(case):
             report.warn(warning)

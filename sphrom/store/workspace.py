@@ -184,7 +184,9 @@ class Workspace(ArtifactFolder):
         if self.case.basis.lagrangian:
             parents |= self._full_runs(plan.train_points)
         modes = {f"bases/{n}/{self._files.modes}": plan.basis_size(n) for n in plan.bases}
-        return self._target(f"pod{self._files.suffix}", "", {}, parents, modes)
+        # Bases of fluid with a surface had another measure of noise before.
+        about = {"noise": "of one direction"} if self.case.scene.has_surface else {}
+        return self._target(f"pod{self._files.suffix}", "", about, parents, modes)
 
     def splines(self) -> Target:
         """The splines of the modes."""

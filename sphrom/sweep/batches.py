@@ -41,7 +41,7 @@ STATES = ("complete", "unstable", "failed", "not run")
 REGIME = "regime"
 """Key of a run's regime, an index of REGIMES."""
 MISSED = "missed/"
-"""Prefix of the keys of what a basis misses of a measurement in training runs."""
+"""Prefix of the keys of errors of measurements that are due to the basis, in training runs."""
 ERROR = "error_estimate/"
 """Prefix of the datasets of error estimates, which some runs lack."""
 OVER_TIME = f"{ERROR}velocity_over_time", f"{ERROR}pressure_over_time"
@@ -53,7 +53,7 @@ MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
 
 @dataclass(frozen=True)
 class RunRecord:
-    """One run of a sweep: its values, or the reason why it has none."""
+    """One run of a sweep: its values, and the reason why it has none or is in doubt."""
 
     point: ParameterPoint
     status: int
@@ -133,7 +133,7 @@ class SweptModel:
     def in_training(self, points: Sequence[ParameterPoint]) -> list[dict[str, Any]]:
         """Return the errors of training runs, for the bases of models at points.
 
-        Each has values by the names of a run's record, and by `MISSED` what the basis misses. The
+        Each has values by the names of a run's record, and by `MISSED` those due to the basis. The
         list is empty if the case has no error estimates.
         """
         if self._fast is None:
@@ -187,7 +187,8 @@ class SweptModel:
             values["derivatives"] = np.array([*derivatives.values()])
         if run.regime is not None:
             values[REGIME] = REGIMES.index(run.regime)
-        return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
+        strains = "; ".join(run.strains)
+        return RunRecord(run.point, COMPLETE, strains, values, tuple(derivatives))
 
 
 def _values(time: Array, step: float, energies: Array, speed: float) -> dict[str, Any]:

@@ -117,7 +117,7 @@ def run(
     results = Results(workspace, points)
     failed: list[Failure] = []
     if not collect:
-        if (warning := sweep_beyond_training(context.case)) is not None:
+        for warning in sweep_beyond_training(context.case):
             context.report.warn(warning)
         if context.force:
             results.discard()
@@ -176,9 +176,10 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     """Return the columns of the table of runs, with their units.
 
     `error_estimate_extrapolated` is `yes` for values outside of the trained range, else `no`, and
-    empty without an estimate. `reason` is the reason of a failure. Measurements over time have
-    columns for their statistics, from the time on that counts, and for estimated errors, which are
-    empty for components with only noise; measurements along lines have none. Oscillations have a
+    empty without an estimate. `reason` is that of a failure, or of a doubt about a complete run.
+    Measurements over time have columns for their statistics, from the time on that counts, and for
+    estimated errors, which are empty for components with only noise; measurements along lines have
+    none. Oscillations have a
     column for the reason why there is no frequency.
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
@@ -256,6 +257,12 @@ class Results:
         if regimes := [r.values[REGIME] for r in records if REGIME in r.values]:
             report.info(f"regimes: {statistics.regimes_in_words(regimes)}")
         show_lost(report, [record for record in records if record.status != COMPLETE])
+        if doubtful := [run for run in records if run.status == COMPLETE and run.reason]:
+            first = doubtful[0]
+            report.warn(
+                f"{len(doubtful)} of {len(records)} runs are in doubt, such as "
+                f"{first.point.label}: {first.reason}"
+            )
         if times := case.plan.times_in_words:
             report.info(times)
         for problem in _missing(case, rows, records):

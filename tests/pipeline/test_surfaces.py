@@ -145,20 +145,29 @@ def test_trade_weighs_sizes(
     sphrom("report", "tank.yaml", code=0)
 
 
-def test_a_run_out_of_range_ends_with_instant_and_place(
+def test_a_run_is_in_doubt_if_steep_and_ends_with_instant_and_place_if_it_breaks(
     copied: Callable[[dict[str, Any]], Path], sphrom: Callable[..., Result]
 ) -> None:
-    copied(TANK)
-    keys = ["--set", "rom.0.parameters=[{reynolds: 500, amplitude: 0.4}]"]
+    out = copied(TANK)
+    values = [f"{{reynolds: 500, ratio: 0.85, amplitude: {size}}}" for size in (0.05, 0.4)]
+    keys = ["--set", f"rom.0.parameters=[{', '.join(values)}]"]
     case = [
         "--set",
         "parameters.train.amplitude=[0.02]",
         "--set",
         "parameters.test.amplitude=[0.02]",
     ]
-    told = sphrom("run", "tank.yaml", *case, *keys, "--force", code=4)
-    assert "ended at t = " in told.stderr + told.stdout
-    assert "x = " in told.stderr + told.stdout
+    result = sphrom("run", "tank.yaml", *case, *keys, "--force", code=4)
+    told = " ".join((result.stderr + result.stdout).split())
+    assert "ended at t = " in told
+    assert "x = " in told
+    assert "linear theory expects a surface 17 times as steep as in any training run" in told
+    assert "or with amplitude: 0.34 at" in told
+    steep = "its surface is up to "
+    assert f"fast, reynolds=500, ratio=0.85, amplitude=0.05: {steep}" in told
+    with h5py.File(out / "rom-fast-reynolds500-ratio0.85-amplitude0.05.h5") as run:
+        assert "complete" in str(run.attrs["status"])
+        assert steep in str(run.attrs["doubts"])
 
 
 @pytest.mark.parametrize(

@@ -150,16 +150,19 @@ def test_a_run_ends_where_the_surface_is_too_steep(basis: SurfaceBasis) -> None:
     assert np.isfinite(run.coordinates).all()
 
 
-def test_the_steepest_surface_is_one_and_a_half_times_that_of_training(basis) -> None:
+def test_a_surface_breaks_at_a_slope_of_one_unless_training_is_near_it(basis) -> None:
     """Training has waves of 0.1 m. A wave at rest only falls at first, so its start decides."""
     x = SPACE.width * (np.arange(24) + 0.5) / 24
     trained = max(0.1 * k * np.abs(np.sin(k * x)).max() for k in map(wave_number, (1, 2, 3)))
     assert basis.largest_slope == pytest.approx(trained, rel=1e-3)
-    steep = 1.5 * trained / (wave_number(1) * np.abs(np.sin(wave_number(1) * x)).max())
-    whole, times = basis.reduced(3, 3), np.linspace(0.0, 0.02, 3)
-    state = np.concatenate([np.zeros(3), whole.surface_modes.T[0]])
-    for share, ended in ((0.99, None), (1.01, "the surface is steeper than in training")):
-        assert model(whole).run(times, share * steep * state).ended == ended
+    unit = wave_number(3) * np.abs(np.sin(wave_number(3) * x)).max()
+    times = np.linspace(0.0, 0.02, 3)
+    for largest, steep in ((trained, 1.0), (0.8, 1.2)):
+        whole = SurfaceBasis(**vars(basis) | {"largest_slope": largest})
+        state = np.concatenate([np.zeros(3), whole.surface_modes.T[2]]) / unit
+        assert model(whole).steepness(state) == pytest.approx(1.0)
+        for share, ended in ((0.98, None), (1.02, "the surface is so steep that it would break")):
+            assert model(whole).run(times, share * steep * state).ended == ended
 
 
 def test_a_run_that_diverges_within_a_step_ends(basis: SurfaceBasis) -> None:
@@ -240,12 +243,13 @@ def test_training_finds_gravity_and_the_number_of_elevation_modes(basis: Surface
 
 def test_gravity_may_change_with_the_amplitude(basis: SurfaceBasis) -> None:
     """A wave keeps its amplitude, so that it has the frequency of one changed gravity."""
-    changed = replace(model(basis), gravity_growth=-1.0)
-    same = replace(model(basis), gravity_factor=1.0 - 0.05**2)
     times, start = np.linspace(0, 20, 101), first_wave(basis, 0.05)
-    runs = run_many([changed, same, model(basis)], times, [start] * 3)
-    differences = [np.abs(run.coordinates - runs[0].coordinates).max() for run in runs]
-    assert differences[1] < 0.1 * differences[2]
+    for most, square in ((math.inf, 0.05**2), (0.04**2, 0.04**2)):
+        changed = replace(model(basis), gravity_growth=-1.0, largest_square=most)
+        same = replace(model(basis), gravity_factor=1.0 - square)
+        runs = run_many([changed, same, model(basis)], times, [start] * 3)
+        differences = [np.abs(run.coordinates - runs[0].coordinates).max() for run in runs]
+        assert differences[1] < 0.1 * differences[2]
 
 
 def test_elevation_has_the_modes_that_its_variance_requires(basis: SurfaceBasis) -> None:
@@ -260,9 +264,21 @@ def test_elevation_has_the_modes_that_its_variance_requires(basis: SurfaceBasis)
 
 def test_modes_below_the_noise_are_cut_off(basis: SurfaceBasis) -> None:
     runs = [training_run(basis, GRAVITY, 1.3)]
-    noisy = SurfaceBasis(**vars(basis) | {"energies": np.array([1.0, 0.1, 1e-8])})
+    noisy = SurfaceBasis(**vars(basis) | {"energies": np.array([1.0, 0.1, 1e-8]), "noise": 1e-7})
     trained = train(noisy, runs, [3], lambda done: None)
     assert trained[3].n_modes == 2
+
+
+def test_modes_above_the_noise_do_not_depend_on_those_that_are_kept(basis: SurfaceBasis) -> None:
+    """Five directions, each a tenth of the one before, with a noise of 0.015 in each."""
+    draws = np.random.default_rng(3).standard_normal((5, SPACE.n_coefficients))
+    flat = np.tile(1e-9 * np.cos(wave_number(1) * COLUMNS), (1, 5, 1))
+    whole = make_basis(SPACE, draws[None], flat, 0.0, 5)
+    sizes = np.sqrt(np.logspace(0, -4, 5) / whole.energies)
+    given = sizes[:, None] * whole.stream_modes * np.sqrt(5 * whole.energies)[:, None]
+    noise = np.sqrt(1.5e-2 * SPACE.n_coefficients / 1.1111)
+    counts = [make_basis(SPACE, given[None], flat, noise, n).modes_above_noise for n in (1, 2, 5)]
+    assert counts == [1, 2, 2]
 
 
 def test_elevation_of_particles_and_columns_without_one_surface() -> None:

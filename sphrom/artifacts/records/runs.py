@@ -407,6 +407,10 @@ class SurfaceSnapshots(Timed, AtPoint, kind="sphrom/surface-snapshots"):
 class SurfaceRun(Recorded, Timed, Settings, Ended, kind="sphrom/surface-run"):
     """The time series of a reduced run with a free surface."""
 
+    doubts: str | None = attribute(
+        "", "how far its states are from all of those in training, one per line", default=None
+    )
+
     generalized_coordinates: Array = dataset(
         "snapshot coordinate", "of the modes, m",
         "coordinates of the velocity's modes, then those of the elevation's", "omega-hat",

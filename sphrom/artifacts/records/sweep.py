@@ -126,5 +126,5 @@ class Sweep(Record, kind="sphrom/sweep"):
         "", "names of the derivatives, separated by commas", default=None
     )
     failures: Mapping[str, str] = attribute(
-        "", "reason why a run, by its number, is not complete", default_factory=dict
+        "", "reason why a run, by its number, is not complete or in doubt", default_factory=dict
     )

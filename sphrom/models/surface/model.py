@@ -29,6 +29,7 @@ from sphrom.models.stored_run import ComputedRun
 from sphrom.models.surface.stored import elevation_of, trained_size
 from sphrom.reduction.graph_model import GraphModel, GraphRun, calibrated_model
 from sphrom.reduction.polynomial_model import OutputTimes
+from sphrom.reduction.surface_basis import SLOPE_BEYOND_TRAINING
 from sphrom.setup.assembly import field_measures, run_attributes, uniform_force
 from sphrom.sph.fluid import fluctuation_of
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
@@ -148,6 +149,16 @@ class SurfaceRun(ModelRun):
 
     model: SurfaceModel
     reduced: SurfaceModelAt
+
+    @cached_property
+    def strains(self) -> tuple[str, ...]:
+        """How much steeper the surface is than in training, if it is much steeper."""
+        graph = self.reduced.graph
+        steepest = float(graph.steepness(self.coordinates).max(initial=0.0))
+        factor = steepest / graph.basis.largest_slope
+        if not factor > SLOPE_BEYOND_TRAINING:
+            return ()
+        return (f"its surface is up to {factor:.2g} times as steep as in training",)
 
     @property
     def kinetic_energy(self) -> Array:
@@ -290,6 +301,10 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
                 artifact.write(path, values)
         artifact.annotate("status", "complete" if run.failure is None else "unstable")
         artifact.annotate("timing/integration", seconds)
+        if run.strains:
+            artifact.annotate("doubts", "\n".join(run.strains))
+        for doubt in run.strains:
+            report.warn(f"{run.name}: {doubt}")
         if run.failure is not None:
             artifact.annotate("status_detail", str(run.failure))
             report.warn(f"{run.name}: {run.failure}")
