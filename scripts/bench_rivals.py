@@ -45,6 +45,7 @@ from sphrom.kernels.jit import set_threads
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.models.reference.stored import read_basis, read_points
 from sphrom.reduction.correction import spline_weights
+from sphrom.reduction.own_pressure import JOINT
 from sphrom.reduction.trial_basis import TrialBasis, project, reconstruct, truncate, weighted_mean
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
@@ -257,6 +258,8 @@ class Prediction:
     estimates: list[Errors] | None = None
     basis: TrialBasis | None = None
     """The modes of the coordinates, if there are pressure modes among them."""
+    pressure: str = JOINT
+    """What held-out training runs chose."""
 
 
 def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
@@ -293,7 +296,16 @@ def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
         words.insert(0, f"n_modes: auto, {model.basis.n_modes}")
     name = ", ".join(("sphrom", *words))
     online = float(np.mean(seconds))
-    return Prediction(name, coordinates, offline, online, estimates, model.whole)
+    (pressure,) = model.trained.pressure or (JOINT,)
+    return Prediction(name, coordinates, offline, online, estimates, model.whole, pressure)
+
+
+def with_joint_pressure(found: Prediction, n_modes: int) -> Iterator[Prediction]:
+    """Yield a prediction without pressure modes, if it has any."""
+    if found.pressure != JOINT:
+        name = f"{found.name}, {JOINT} pressure instead of {found.pressure}"
+        joint = [each[:, :n_modes] for each in found.coordinates]
+        yield Prediction(name, joint, found.offline, found.online)
 
 
 def interpolated(study: Study, training: Array, n_modes: int) -> Iterator[Prediction]:
@@ -353,9 +365,11 @@ def rows_of(study: Study, python: Path, n_modes: int) -> list[dict[str, Any]]:
     best = Prediction(
         "best possible", [study.projected(judge, n_modes) for judge in judges.values()], 0.0, 0.0
     )
+    own = ours(study, n_modes)
     predictions = [
         best,
-        ours(study, n_modes),
+        own,
+        *with_joint_pressure(own, n_modes),
         ours(study, AUTO),
         ours(study, n_modes, corrected=False),
         ours(study, n_modes, corrected=False, calibrated=False),
@@ -374,8 +388,8 @@ def rows_of(study: Study, python: Path, n_modes: int) -> list[dict[str, Any]]:
             "estimate": ESTIMATES.get(found.name.split(",")[0], "no"),
         }
         for k, (label, judge) in enumerate(judges.items()):
-            own = study.fields(found.coordinates[k][inside], found.basis)
-            row[label] = judge.errors(own, inside)
+            fields = study.fields(found.coordinates[k][inside], found.basis)
+            row[label] = judge.errors(fields, inside)
             if found.estimates:
                 row[f"{label}, estimated"] = found.estimates[k]
         first = found.coordinates[0]

@@ -112,7 +112,8 @@ def sparse_dynamics(
             num_parameters=1,
         )
         threshold, ridge = settings
-        optimizer = pysindy.STLSQ(threshold=threshold, alpha=ridge)
+        # Else the terms that are left are fitted again without the ridge.
+        optimizer = pysindy.STLSQ(threshold=threshold, alpha=ridge, unbias=False)
         model = pysindy.SINDy(feature_library=terms, optimizer=optimizer)
         return model.fit(states, t=times, x_dot=rates, u=values)
 

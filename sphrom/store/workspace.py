@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.fields import Section
@@ -72,6 +72,8 @@ class ModelFiles:
     """The artifacts of the modes."""
     parents: tuple[str, ...]
     """The artifacts from which its models are built."""
+    of_bases: Mapping[str, str] = field(default_factory=dict)
+    """Statements in its bases; those with other ones are made again."""
 
 
 MODEL_FILES: Mapping[str, ModelFiles] = {
@@ -79,7 +81,13 @@ MODEL_FILES: Mapping[str, ModelFiles] = {
     "particles": ModelFiles(
         " on particles", "modes/density", ("basis", "splines"), ("basis", "splines")
     ),
-    "surface": ModelFiles(" of a surface", "stream_modes", ("basis",), ("basis", "operators")),
+    "surface": ModelFiles(
+        " of a surface",
+        "stream_modes",
+        ("basis",),
+        ("basis", "operators"),
+        {"noise": "of one direction"},
+    ),
 }
 """The artifacts of reduced models by the family that a plan names."""
 
@@ -184,8 +192,7 @@ class Workspace(ArtifactFolder):
         if self.case.basis.lagrangian:
             parents |= self._full_runs(plan.train_points)
         modes = {f"bases/{n}/{self._files.modes}": plan.basis_size(n) for n in plan.bases}
-        # Bases of fluid with a surface had another measure of noise before.
-        about = {"noise": "of one direction"} if self.case.scene.has_surface else {}
+        about = self._files.of_bases
         return self._target(f"pod{self._files.suffix}", "", about, parents, modes)
 
     def splines(self) -> Target:

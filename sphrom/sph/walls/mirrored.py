@@ -6,7 +6,7 @@ pressure's gradient beside a wall. The fit is exact for linear pressures, so it 
 
 Mirror points are at least h from the wall. Fits nearer to it continue short waves more steeply: the
 largest wave number of sound at a flat wall would be 1.60 / h, and not 1.37 / h, as without walls
-1.14 / h. The pressure of slow flow beside a moving wall is more accurate so, too.
+1.14 / h.
 """
 
 from __future__ import annotations
