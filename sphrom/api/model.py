@@ -25,6 +25,7 @@ from sphrom.case.plan_times import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
+from sphrom.metrics.series import TOO_CLOSE, UNDECIDED
 from sphrom.models.contract import Ability, ModelRun, family_of
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.setup.context import StageContext
@@ -136,6 +137,8 @@ class Model:
         run = self._fast.run(self._point, self._lengthened(final_time))
         if run.failure is not None:
             raise UnstableError(f"{run.name}: {run.failure}")
+        if run.regime == UNDECIDED:
+            self._warn(TOO_CLOSE)
         for strain in run.strains:
             self._warn(f"{self._point.label}: {strain}")
         return Result(
@@ -148,6 +151,7 @@ class Model:
             _labels=self._labels,
             _sample=run.sampled,
             _measured=lambda: run.measured | run.oscillations,
+            _regime=run.regime,
             _estimate=lambda: run.estimate,
         )
 

@@ -13,9 +13,8 @@ from sphrom.arguments import finite_array
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import Quantities, Samples, since
+from sphrom.metrics.measures import Quantities, Samples, since, why_missing
 from sphrom.metrics.quantities import AXES, MEASURABLE, PLACED, is_vector
-from sphrom.metrics.series import NO_OSCILLATION
 from sphrom.models.contract import ModelRun
 from sphrom.models.points.error_estimates import ErrorEstimate
 from sphrom.models.points.sensitivities import Tangents
@@ -50,9 +49,17 @@ class Labels:
         self._known: dict[bytes, xarray.Coordinates] = {}
 
     def dataset(
-        self, measured: Measured, time: Array, about: Mapping[str, Any], axes: str = "snapshot"
+        self,
+        measured: Measured,
+        time: Array,
+        about: Mapping[str, Any],
+        axes: str = "snapshot",
+        regimes: Sequence[str | None] = (None,),
     ) -> xarray.Dataset:
-        """Return a dataset of measurements at times (n_snapshots,) [s], with leading `axes`."""
+        """Return a dataset of measurements at times (n_snapshots,) [s], with leading `axes`.
+
+        `regimes` are those of all runs.
+        """
         import xarray
 
         variables = {}
@@ -72,7 +79,9 @@ class Labels:
                     values = values[..., 0]
                     unit = self.case.plan.oscillations[own].units_of(quantity)
                 variables[f"{name}_{quantity}"] = labelled(dims, values, unit, meaning)
-                variables[f"{name}_{quantity}"][2].update(self._notes(own, quantity, values))
+                variables[f"{name}_{quantity}"][2].update(
+                    self._notes(own, quantity, values, regimes)
+                )
         if (key := time.tobytes()) not in self._known:
             coordinates = axes_of(time)
             for name, measure in field_measures(self.case).items():
@@ -84,13 +93,18 @@ class Labels:
             self._known = {key: xarray.Dataset(coords=coordinates).set_xindex("time").coords}
         return xarray.Dataset(variables, self._known[key], dict(about))
 
-    def _notes(self, name: str, quantity: str, values: Array) -> dict[str, Any]:
+    def _notes(
+        self, name: str, quantity: str, values: Array, regimes: Sequence[str | None]
+    ) -> dict[str, Any]:
         """Return attributes: the first time that counts [s], and why an oscillation is NaN."""
         plan = self.case.plan
-        missing = quantity not in MEASURABLE and bool(np.isnan(values).any())
+        missing = dict[str, None]()
+        if quantity not in MEASURABLE:  # one value per run
+            runs = zip(regimes, np.isnan(values.reshape(-1)).tolist(), strict=True)
+            missing = dict.fromkeys(why_missing(regime) for regime, is_lost in runs if is_lost)
         of = plan.oscillations.get(name)
         begin = plan.means_from.get(name, plan.settled_from) if of is None else of.from_time
-        return {"from_time": begin} | ({"missing": NO_OSCILLATION} if missing else {})
+        return {"from_time": begin} | ({"missing": "; ".join(missing)} if missing else {})
 
     def fields(
         self,
@@ -130,13 +144,14 @@ class Labels:
         measured = dict[str, dict[str, Array]]()
         time = np.zeros(0)
         status = np.full(n_runs, "unstable")
-        regimes = [""] * n_runs
+        regimes: list[str | None] = [None] * n_runs
         errors = np.full((3, n_runs), np.nan)
         for k, run in enumerate(runs):
             time = run.time
             if run.failure is not None:
                 continue
-            status[k], regimes[k] = "complete", run.regime or ""
+            status[k] = "complete"
+            regimes[k] = run.regime
             if (own := run.estimate) is not None:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
             estimates = {f"{ERROR}{name}": each for name, each in run.measured_errors.items()}
@@ -153,8 +168,8 @@ class Labels:
             for (name, unit), each in zip(names, errors, strict=True)
         }
         if any(regimes):
-            figures["regime"] = ("run", regimes)
-        whole = self.dataset(measured, time, {"model": model}, "run snapshot")
+            figures["regime"] = ("run", [regime or "" for regime in regimes])
+        whole = self.dataset(measured, time, {"model": model}, "run snapshot", regimes)
         along = {name: ("run", [point[name] for point in points]) for name in points[0]}
         return whole.assign(figures | {"status": ("run", status)}).assign_coords(along)
 
@@ -200,6 +215,7 @@ class Result:
     _sample: Callable[[Array], Samples]
     _measured: Callable[[], Measured]
     _estimate: Callable[[], ErrorEstimate | None] = lambda: None
+    _regime: str | None = None
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value:g}" for name, value in self.parameters.items())
@@ -225,7 +241,7 @@ class Result:
         """
         attributes = {"model": self.model, **self.parameters}
         labels = self._labels
-        return labels.dataset(self._measured(), self.time, attributes)
+        return labels.dataset(self._measured(), self.time, attributes, regimes=[self._regime])
 
     @property
     @guarded()

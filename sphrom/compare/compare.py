@@ -35,7 +35,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.histories import compare
 from sphrom.metrics.measures import Samples, without_weight
 from sphrom.metrics.series import exponential_rate
-from sphrom.models.contract import Limit, basis_used, family_of
+from sphrom.models.contract import Limit, basis_used, family_of, model_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import role_of, sound_averages
@@ -172,8 +172,10 @@ class _PointComparison:
                 )
                 self.tables.estimates.extend(filter(None, [estimate]))
                 measured = {**measured_of(case, trajectory), **run.whole}
+                regime = model_of(workspace, model).regime(self.point)
                 self._measure(
-                    replace(compared, measured=measured), measured_estimates(case, trajectory)
+                    replace(compared, measured=measured, regime=regime),
+                    measured_estimates(case, trajectory),
                 )
         for against in self.references:
             self._add(compared, against)
@@ -216,6 +218,7 @@ class _PointComparison:
                 self.measured,
                 compared=run.name,
                 parameters=self.point.label,
+                regime=run.regime,
             )
         )
 

@@ -25,16 +25,17 @@ from sphrom.metrics.measures import (
     Quantities,
     Samples,
     errors_of,
+    in_regime,
     mean_square,
     mean_squares,
     shares,
     since,
     variations,
+    why_missing,
     with_coefficients,
 )
 from sphrom.metrics.quantities import MEASURABLE, components, parts
 from sphrom.metrics.series import (
-    NO_OSCILLATION,
     dominant_frequency,
     kinetic_energy,
     smoothed,
@@ -182,14 +183,20 @@ class OscillationRow:
 
 
 def oscillation_rows(
-    case: Case, time: Array, own: Measured, full: Measured, compared: str, parameters: str
+    case: Case,
+    time: Array,
+    own: Measured,
+    full: Measured,
+    compared: str,
+    parameters: str,
+    regime: str | None = None,
 ) -> Iterator[OscillationRow]:
-    """Yield the rows of a run beside the full run, which has no errors."""
+    """Yield the rows of a run beside the full run, which has no errors; steady ones have a mean."""
     for name, each in case.plan.oscillations.items():
         if each.measure in own:  # mapped snapshots have no forces
             reference = None if own is full else full[each.measure]
-            figures: dict[str, Any] = each.of(time, own[each.measure], reference)
-            figures["remark"] = "" if "frequency" in figures else NO_OSCILLATION
+            figures: dict[str, Any] = in_regime(regime, each.of(time, own[each.measure], reference))
+            figures["remark"] = "" if "frequency" in figures else why_missing(regime)
             yield OscillationRow(
                 measured=name,
                 unit=each.units,

@@ -28,7 +28,14 @@ from sphrom.metrics.quantities import (
     components,
     is_vector,
 )
-from sphrom.metrics.series import OSCILLATION, STEADY, oscillation, oscillation_beside
+from sphrom.metrics.series import (
+    BELOW_ONSET,
+    NO_OSCILLATION,
+    OSCILLATION,
+    STEADY,
+    oscillation,
+    oscillation_beside,
+)
 
 Quantities = Mapping[str, Array]
 """The values of one measurement, by the names in `MEASURABLE`."""
@@ -145,6 +152,11 @@ class Oscillations(dict[str, Oscillating]):
 def in_regime(regime: str | None, figures: dict[str, float]) -> dict[str, float]:
     """Return the figures of an oscillation in a regime; a steady flow only has a mean."""
     return {f: v for f, v in figures.items() if regime != STEADY or f == "mean"}
+
+
+def why_missing(regime: str | None) -> str:
+    """Return why a run in a regime has no frequency and no amplitude."""
+    return BELOW_ONSET if regime == STEADY else NO_OSCILLATION
 
 
 def since(time: Array, from_time: float) -> Mask:

@@ -66,6 +66,7 @@ class Limit:
     n_modes: int | None = None
     measured: Measured | None = None
     status: str = "complete"
+    regime: str | None = None
 
 
 def best_name(basis: str, n_modes: int) -> str:

@@ -44,7 +44,7 @@ from sphrom.setup.cost import described_run
 from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import COMPLETE
-from sphrom.sweep.statistics import FIGURES, beside
+from sphrom.sweep.statistics import FIGURES, beside, regimes_in_words
 from sphrom.text import counted, duration
 from sphrom.whole_files import write_whole
 
@@ -185,10 +185,12 @@ def _sweeps(workspace: Workspace) -> Iterator[Html]:
         with open_artifact(path, target.schema, made_by=target.made_by) as artifact:
             model = artifact.text("model")
             status = artifact.read("status")
+            found = artifact.read("regime").tolist() if "regime" in artifact.datasets else []
         counts = f"{counted(len(status), 'run')}, {np.count_nonzero(status == COMPLETE):,} complete"
+        told = f"; regimes: {regimes_in_words(found)}" * bool(found)
         note = "; the case has other settings now" * bool(workspace.reason_to_make(target))
         yield element("h3", path.stem)
-        yield element("p", f"{model}: {counts}; {path.stem}.csv has each{note}.")
+        yield element("p", f"{model}: {counts}; {path.stem}.csv has each{told}{note}.")
         figures = {beside(path, kind, "png").name: text for kind, text in FIGURES.items()}
         yield from _pictures(path.parent, figures)
 

@@ -8,7 +8,8 @@ velocity, e_u that of its error, and M the mass.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product, zip_longest
 from pathlib import Path
@@ -32,6 +33,7 @@ from sphrom.reduction.error_calibration import field_of, output_errors
 from sphrom.setup.assembly import sound_averages
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import ERROR, MISSED, OVER_TIME, REGIME, RunRecord, SweptModel
+from sphrom.text import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -105,6 +107,13 @@ def oscillation_of(measure: Oscillating, values: Mapping[str, Any]) -> dict[str,
     measured = {measure.quantity: values[f"measure/{measure.measure}/{measure.quantity}"]}
     regime = REGIMES[values[REGIME]] if REGIME in values else None
     return in_regime(regime, measure.of(values["time"], measured))
+
+
+def regimes_in_words(found: Iterable[int]) -> str:
+    """Return the number of runs in each regime; `found` has indices of REGIMES."""
+    counts = Counter(found)
+    words = (f"{counted(counts[k], 'run')} {name}" for k, name in enumerate(REGIMES) if counts[k])
+    return ", ".join(words)
 
 
 def _stacked(runs: Values) -> dict[str, Array]:

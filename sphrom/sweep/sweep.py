@@ -26,7 +26,7 @@ from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
 from sphrom.metrics.draws import fewest_runs
 from sphrom.metrics.measures import DRY, STATISTICS
-from sphrom.metrics.series import BELOW_ONSET, NO_OSCILLATION, OSCILLATION, REGIMES, STEADY
+from sphrom.metrics.series import OSCILLATION, REGIMES
 from sphrom.models.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
@@ -254,9 +254,8 @@ class Results:
             ("output", "least", "at", "mean", "greatest", "at"),
             list(_summary(records, rows, names)),
         )
-        if regimes := Counter(REGIMES[r.values[REGIME]] for r in records if REGIME in r.values):
-            words = (f"{counted(n, 'run')} {name}" for name, n in regimes.items())
-            report.info(f"regimes: {', '.join(words)}")
+        if regimes := [r.values[REGIME] for r in records if REGIME in r.values]:
+            report.info(f"regimes: {statistics.regimes_in_words(regimes)}")
         show_lost(report, [record for record in records if record.status != COMPLETE])
         if doubtful := [run for run in records if run.status == COMPLETE and run.reason]:
             first = doubtful[0]
@@ -351,7 +350,7 @@ def _rows(case: Case, records: Sequence[RunRecord], names: Iterable[str]) -> lis
     for (row, values), (name, measure) in product(complete, case.plan.oscillations.items()):
         figures = statistics.oscillation_of(measure, values)
         row |= {f"{name}_{figure}": value for figure, value in figures.items()}
-        missing = BELOW_ONSET if row.get(REGIME) == STEADY else NO_OSCILLATION
+        missing = measures.why_missing(row.get(REGIME))
         row[f"{name}_reason"] = "" if "frequency" in figures else missing
     return rows
 
@@ -379,11 +378,12 @@ def _missing(case: Case, rows: Sequence[Cells], records: Sequence[RunRecord]) ->
     """Yield warnings about figures that complete runs do not have."""
     complete = [row for row in rows if row["status"] == STATES[COMPLETE]]
     for name in case.plan.oscillations:
-        if without := sum(bool(row[f"{name}_reason"]) for row in complete):
-            yield (
-                f"{name}: {without} of {len(complete)} runs have no frequency and no amplitude, "
-                f"and statistics leave them out: {NO_OSCILLATION}"
-            )
+        for reason, number in Counter(row[f"{name}_reason"] for row in complete).items():
+            if reason:
+                yield (
+                    f"{name}: {number} of {len(complete)} runs have no frequency and no amplitude, "
+                    f"and statistics leave them out: {reason}"
+                )
     for name in case.scene.measured_fields if case.plan.with_weight else ():
         path = f"measure/{name}/pressure"
         if dry := sum(bool((r.values.get(path, np.ones(1)) == 0.0).any()) for r in records):

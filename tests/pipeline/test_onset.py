@@ -14,6 +14,7 @@ import yaml
 import sphrom as package
 from sphrom.fit.forward_model import Box, FittedEquations
 from sphrom.fit.measurements import read_measurements
+from sphrom.metrics.series import BELOW_ONSET, TOO_CLOSE
 from sphrom.models.points.fast_model import FastModel
 from sphrom.store.workspace import Workspace
 
@@ -97,21 +98,32 @@ def test_a_sweep_marks_what_oscillates(made: Path, sphrom) -> None:
     found = rows(made / "runs/sweep-fast.csv")
     assert [row["regime"] for row in found] == ["steady", "undecided", "shedding", "shedding"]
     assert found[0]["beat_frequency [Hz]"] == found[0]["beat_amplitude [m/s]"] == ""
-    assert found[0]["beat_reason"] == "the flow is steady there, below the onset of the oscillation"
+    assert found[0]["beat_reason"] == BELOW_ONSET
+    words = " ".join(said.output.split())
+    assert "beat: 1 of 4 runs have no frequency and no amplitude, and statistics leave" in words
+    assert f"leave them out: {BELOW_ONSET}" in words
     assert float(found[-1]["beat_frequency [Hz]"]) == pytest.approx(1.0, rel=0.01)
-    assert "regimes: 1 run steady, 1 run undecided, 2 runs shedding" in " ".join(
-        said.output.split()
-    )
+    assert "regimes: 1 run steady, 2 runs shedding, 1 run undecided" in words
 
 
-def test_python_and_fits_do_not_count_oscillations_below_the_onset(made: Path) -> None:
+def test_python_and_fits_do_not_count_oscillations_below_the_onset(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     study = package.Study(made / "wave.yaml", out=made / "runs", quiet=True)
     model = study.model("fast", reynolds=100.0)
     several = model.run_many({"reynolds": [40.0, 100.0]})
     assert several.regime.values.tolist() == ["steady", "shedding"]
     assert np.isnan(several.beat_amplitude.values).tolist() == [True, False]
     assert np.isfinite(several.beat_mean.values).all()
-    assert np.isnan(model.at(reynolds=40.0).run().measures.beat_frequency)
+    assert several.beat_amplitude.missing == BELOW_ONSET
+    assert "missing" not in several.beat_mean.attrs
+    below = model.at(reynolds=40.0).run().measures.beat_frequency
+    assert np.isnan(below)
+    assert below.missing == BELOW_ONSET
+    model.at(reynolds=60.0).run()
+    assert TOO_CLOSE not in capsys.readouterr().err
+    model.at(reynolds=51.0).run()
+    assert TOO_CLOSE in capsys.readouterr().err
     fast = FastModel(Workspace(study._context), study.case.rom[0])
     columns = {"time": [1.0], "beat_amplitude": [0.5], "beat_amplitude_noise": [0.01]}
     data = read_measurements(columns, study.case, study.case.plan.steps, None)
@@ -123,12 +135,32 @@ def test_python_and_fits_do_not_count_oscillations_below_the_onset(made: Path) -
 def test_a_trade_does_not_count_points_below_the_onset(made: Path, sphrom) -> None:
     arguments = "trade", made / "wave.yaml", "--out", made / "runs"
     said = " ".join(sphrom(*arguments, code=0).output.split())
-    assert "reynolds=40 does not count: the flow is steady there" in said
+    assert f"reynolds=40 does not count: {BELOW_ONSET}" in said
     (fast,) = (row for row in rows(made / "runs/trade/models.csv") if "fast" in row["model"])
     assert float(fast["measured_frequency_relative_l2 [%]"]) < 1.0
     assert fast["measured_amplitude_relative_l2 [%]"] != ""
     alone = sphrom(*arguments, "--only", "reynolds=40", code=2).output
-    assert "trade.measure: beat: reynolds=40: the flow is steady" in " ".join(alone.split())
+    assert f"trade.measure: beat: reynolds=40: {BELOW_ONSET}" in " ".join(alone.split())
+
+
+def test_comparisons_have_no_oscillation_of_a_model_below_the_onset(made: Path, sphrom) -> None:
+    options = made / "wave.yaml", "--out", made / "runs"
+    sphrom("rom", *options, "--quiet", code=0)
+    said = " ".join(sphrom("compare", *options, code=0).output.split())
+    found = {
+        (r["compared"], r["parameters"]): r for r in rows(made / "runs/tables/oscillations.csv")
+    }
+    below, beyond = found["fast", "reynolds=40"], found["fast", "reynolds=110"]
+    assert below["remark"] == BELOW_ONSET
+    assert below["frequency [Hz]"] == below["amplitude"] == below["amplitude_error [%]"] == ""
+    assert beyond["remark"] == ""
+    assert float(beyond["frequency_error [%]"]) < 1.0
+    assert found["full", "reynolds=40"]["remark"] != BELOW_ONSET
+    assert BELOW_ONSET in said
+    sphrom("sweep", *options, "--workers", 1, "--quiet", code=0)
+    sphrom("report", *options, "--quiet", code=0)
+    page = " ".join((made / "runs/report.html").read_text().split())
+    assert "regimes: 1 run steady, 2 runs shedding, 1 run undecided" in page
 
 
 def test_steady_training_runs_are_refused_by_name(made: Path, sphrom) -> None:

@@ -21,7 +21,7 @@ from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
-from sphrom.metrics.series import UNDECIDED
+from sphrom.metrics.series import TOO_CLOSE, UNDECIDED
 from sphrom.models.contract import Model, ModelRun, TrainedDifferences
 from sphrom.models.points.basis_model import BasisModel, quantities_of
 from sphrom.models.points.error_estimates import (
@@ -261,7 +261,7 @@ class FastRun(ModelRun):
         """Warnings about a run outside the trained parameters, or longer than training runs."""
         texts = super().outside
         if self.regime == UNDECIDED:
-            texts = (*texts, "estimates of the onset differ: the flow may oscillate or be steady")
+            texts = (*texts, TOO_CLOSE)
         if self.model.at_point(self.point).leaves_cycles:
             n_modes = self.model.section.size
             return (*texts, f"states of {n_modes} modes leave the trained cycles")

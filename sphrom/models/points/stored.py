@@ -125,9 +125,9 @@ def report_onset(workspace: Workspace, model: str, basis: str, trained: TrainedB
         report.warn(f"{model}, basis {basis}: training runs determine no onset")
         return
     onset, low, high = (format_figure(scale / x, 3) for x in (found[0], max(found), min(found)))
-    report.info(
-        f"{model}, basis {basis}: oscillates from reynolds={onset} on, by estimates from {low} to "
-        f"{high}"
+    report.note(
+        f"{model}, basis {basis}: oscillates from reynolds={onset} on; estimates of this onset are "
+        f"from {low} to {high}"
     )
 
 
