@@ -52,12 +52,11 @@ def test_the_model(load, text, model, name):
 
 def test_values_beyond_training_are_told_once_with_the_range(load):
     text = "parameters: {train: {reynolds: [100, 200]}}\n" + FAST
-    assert sweep_beyond_training(load(text + "sweep: {reynolds: [100, 150, 200]}\n")) is None
-    some = sweep_beyond_training(load(text + "sweep: {reynolds: [90, 150, 250, 300]}\n"))
-    assert some is not None
+    assert not list(sweep_beyond_training(load(text + "sweep: {reynolds: [100, 150, 200]}\n")))
+    (some,) = sweep_beyond_training(load(text + "sweep: {reynolds: [90, 150, 250, 300]}\n"))
     assert "3 of 4" in some
     full = load(text + "sweep: {model: full, reynolds: [300]}\n")
-    assert sweep_beyond_training(full) is None
+    assert not list(sweep_beyond_training(full))
 
 
 def test_distributions_that_reach_impossible_values_are_refused(refusal, load):

@@ -42,7 +42,7 @@ TIMED = re.compile(
     r"(?:about )?[\d,.]+(?:e[-+]?\d+)?(?: \(.*\))? (?:s|ms|µs|minutes|hours|times|runs on)\b"
 )
 TOLERANCE = 0.1
-SECONDS = 240
+SECONDS = 400
 """What a command may take, kernels that have to be compiled included."""
 
 

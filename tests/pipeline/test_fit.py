@@ -111,7 +111,7 @@ def test_gradients_are_differences(study, columns):
         for part in np.split(np.arange(len(slope)), len(data.histories)):
             scale = np.abs(slope[part]).max()
             # The pressure is a small difference, which amplifies errors of the slopes.
-            assert np.abs(found[1][part, k] - slope[part]).max() < 5e-5 * scale
+            assert np.abs(found[1][part, k] - slope[part]).max() < 2e-4 * scale
 
 
 def test_a_place_is_what_its_probe_is(study, columns):

@@ -241,9 +241,13 @@ def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> Non
             slopes.append([(a - b) / (ends[0] - ends[1]) for a, b in zip(*runs, strict=True)])
         expected = [(4.0 * fine - wide) / 3.0 for wide, fine in zip(*slopes, strict=True)]
         given = [found.coordinates[k], found.kinetic_energy[k]]
-        given += [values[k] for each in found.measured.values() for values in each.values()]
-        for one, other in zip(given, expected, strict=True):
-            assert np.abs(one - other).max() < 1e-6 * np.abs(other).max(), name
+        within = [1e-6, 1e-6]
+        for each in found.measured.values():
+            given += [values[k] for values in each.values()]
+            # Own pressures are small differences, which amplify the errors of steps.
+            within += [2e-5 if quantity == "pressure" else 1e-6 for quantity in each]
+        for one, other, share in zip(given, expected, within, strict=True):
+            assert np.abs(one - other).max() < share * np.abs(other).max(), name
 
 
 @pytest.mark.parametrize("model", ["fast", "calibrated", "leading", "longer"])
