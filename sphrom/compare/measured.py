@@ -35,11 +35,7 @@ from sphrom.metrics.measures import (
     with_coefficients,
 )
 from sphrom.metrics.quantities import MEASURABLE, components, parts
-from sphrom.metrics.series import (
-    dominant_frequency,
-    kinetic_energy,
-    smoothed,
-)
+from sphrom.metrics.series import dominant_frequency, kinetic_energy, smoothed
 from sphrom.models.contract import Measured
 from sphrom.models.stored_run import StoredRun
 
@@ -72,7 +68,8 @@ class MeasureRow:
     without_sound: float | None = field(metadata={"unit": "%"})
     """The error of averages over a period of the longest sound wave, over the same change."""
     sound: float | None = field(metadata={"unit": "%"})
-    """The part of the full run that these averages remove, over the same change."""
+    """The part of the full run that these averages remove, over the same change; None if snapshots
+    are too far apart to tell."""
     estimated: float | None = field(metadata={"unit": "%"})
     """The model's own estimate of `relative_l2`."""
     from_time: float = field(metadata={"unit": "s"})
@@ -130,10 +127,13 @@ def measure_rows(
             errors: dict[str, Pair] = dict.fromkeys(sizes, (None, None))
             if own is not full:
                 errors = {n: errors_of(n, mine[n], others[n], size) for n, size in sizes.items()}
-            slow, fast = (
-                shares(mean_squares(quantity, each[counted]), sizes)
-                for each in (smoothed(values - true, averages), true - smoothed(true, averages))
-            )
+            slow: dict[str, float | None] = {}
+            fast: dict[str, float | None] = {}
+            if len(averages) > 1:  # snapshots are closer than the period of sound
+                slow, fast = (
+                    shares(mean_squares(quantity, each[counted]), sizes)
+                    for each in (smoothed(values - true, averages), true - smoothed(true, averages))
+                )
             for component, part in components(quantity, found).items():
                 other, vector = others[component], "" if component == quantity else quantity
                 off = None if own is full else math.sqrt(mean_square(component, part - other))
@@ -148,8 +148,8 @@ def measure_rows(
                     greatest=float(part.max()),
                     relative_l2=errors[component][0],
                     relative_l2_peak=errors[component][1],
-                    without_sound=None if own is full else slow[component],
-                    sound=fast[component],
+                    without_sound=None if own is full else slow.get(component),
+                    sound=fast.get(component),
                     estimated=estimated.get(component),
                     vector_relative_l2=errors[vector][0] if vector else None,
                     vector_estimated=estimated.get(vector),
