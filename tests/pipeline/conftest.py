@@ -61,6 +61,12 @@ ERRORS = tuple(
 )
 
 
+def rows(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a table."""
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
 @pytest.fixture(scope="session")
 def case_text() -> Callable[..., str]:
     """The case as YAML, with sections changed by `key__of__section=value`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import yaml
 
 import sphrom as package
 from sphrom.artifacts import open_artifact
+from tests.pipeline.conftest import rows
 
 RAMP = 0.5
 CASE: dict[str, Any] = {
@@ -53,11 +53,6 @@ def made(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
 @pytest.fixture
 def study(made: Path) -> package.Study:
     return package.Study(made / "case.yaml", out=made / "runs", quiet=True)
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
 
 
 def test_a_comparison_counts_after_the_start_and_by_component(made: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from sphrom.fit.measurements import read_measurements
 from sphrom.metrics.series import BELOW_ONSET, TOO_CLOSE
 from sphrom.models.points.fast_model import FastModel
 from sphrom.store.workspace import Workspace
+from tests.pipeline.conftest import rows
 
 N = 10
 X, Y = (each.ravel() for each in np.meshgrid(*[(np.arange(N) + 0.5) / N] * 2))
@@ -77,11 +77,6 @@ def made(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
     said = sphrom("operators", folder / "wave.yaml", *options, code=0)
     (folder / "said.txt").write_text(" ".join(said.output.split()))
     return folder
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
 
 
 def test_operators_tell_the_onset_with_its_spread(made: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from sphrom.fit.measurements import read_measurements
 from sphrom.models.points.fast_model import FastModel
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import batches, statistics
+from tests.pipeline.conftest import rows
 
 CASE: dict[str, Any] = {
     "name": "swing",
@@ -55,11 +55,6 @@ def made(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
     result = sphrom("run", folder / "case.yaml", "--out", folder / "runs", "--threads", 1, code=0)
     (folder / "answer.txt").write_text(" ".join(result.output.split()))
     return folder
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
 
 
 def test_comparison_tells_frequency_amplitude_and_phase(made: Path) -> None:

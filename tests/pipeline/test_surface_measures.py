@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import pytest
 import yaml
 
 import sphrom as package
+from tests.pipeline.conftest import rows
 
 CASE: dict[str, Any] = {
     "name": "tank",
@@ -50,11 +50,6 @@ def made(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
     for command in (("fom", "--threads", 1), ("compare",), ("sweep",), ("export", "--to", "csv")):
         sphrom(*command, folder / "case.yaml", "--out", folder / "runs", code=0)
     return folder / "runs"
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
 
 
 def test_tables_have_what_is_measured(made: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,7 @@ import pytest
 from typer.testing import Result
 
 import sphrom as product
+from tests.pipeline.conftest import rows
 
 RATE = 1.6974449
 """Of the first standing wave [rad/s]."""
@@ -57,10 +57,6 @@ def changed(**parts: Any) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def tank(made: Callable[[dict[str, Any]], Path]) -> Path:
     return made(TANK)
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(path.open()))
 
 
 def test_a_model_between_training_runs_is_close_and_says_so(tank: Path) -> None:
