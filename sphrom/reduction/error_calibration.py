@@ -217,9 +217,9 @@ def output_errors(
     """Return the errors of an output from those of held-out training runs.
 
     Its error has a part within the basis and one that the basis misses. Over the error of the
-    field, the first is that of held-out training runs, and the second is `missed`. An estimate of
-    the field's error does not tell which part it is, so both count in full. Squares are averaged
-    over the runs; of noise, over a tenth of the time before and after.
+    field, the first is that of held-out training runs, and the second is `missed`. Both count in
+    full, as if all of the field's error were of either kind. Squares are averaged over the runs; of
+    noise, over a tenth of the time before and after.
 
     Parameters
     ----------
