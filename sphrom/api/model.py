@@ -139,8 +139,8 @@ class Model:
             raise UnstableError(f"{run.name}: {run.failure}")
         if run.regime == UNDECIDED:
             self._warn(TOO_CLOSE)
-        for strain in run.strains:
-            self._warn(f"{self._point.label}: {strain}")
+        for text in run.unlike_training:
+            self._warn(f"{self._point.label}: {text}")
         return Result(
             model=self.name,
             parameters=self.parameters,
@@ -180,7 +180,7 @@ class Model:
 
         def run(point: ParameterPoint) -> ModelRun:
             made: ModelRun = self._fast.run(point)
-            doubts.extend(f"{point.label}: {strain}" for strain in made.strains[:1])
+            doubts.extend(f"{point.label}: {text}" for text in made.unlike_training[:1])
             return made
 
         found = self._labels.runs(map(run, at), [p.as_dict() for p in at], self.name)

@@ -374,11 +374,11 @@ class ModelRun(ABC):
         return tuple(text for text in texts if text is not None)
 
     @property
-    def strains(self) -> tuple[str, ...]:
+    def unlike_training(self) -> tuple[str, ...]:
         """How far the states of a run are from all of those in training, where that is known."""
         return ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """Why a completed run may be wrong, as far as is known without a full run."""
-        return (*self.outside, *self.strains)
+        return (*self.outside, *self.unlike_training)

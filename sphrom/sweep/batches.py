@@ -187,8 +187,8 @@ class SweptModel:
             values["derivatives"] = np.array([*derivatives.values()])
         if run.regime is not None:
             values[REGIME] = REGIMES.index(run.regime)
-        strains = "; ".join(run.strains)
-        return RunRecord(run.point, COMPLETE, strains, values, tuple(derivatives))
+        doubts = "; ".join(run.unlike_training)
+        return RunRecord(run.point, COMPLETE, doubts, values, tuple(derivatives))
 
 
 def _values(time: Array, step: float, energies: Array, speed: float) -> dict[str, Any]:

@@ -179,8 +179,7 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     empty without an estimate. `reason` is that of a failure, or of a doubt about a complete run.
     Measurements over time have columns for their statistics, from the time on that counts, and for
     estimated errors, which are empty for components with only noise; measurements along lines have
-    none. Oscillations have a
-    column for the reason why there is no frequency.
+    none. Oscillations have a column for the reason why there is no frequency.
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
     names = {**dict.fromkeys(case.plan.parameter_names), "status": None}

@@ -151,7 +151,7 @@ class SurfaceRun(ModelRun):
     reduced: SurfaceModelAt
 
     @cached_property
-    def strains(self) -> tuple[str, ...]:
+    def unlike_training(self) -> tuple[str, ...]:
         """How much steeper the surface is than in training, if it is much steeper."""
         graph = self.reduced.graph
         steepest = float(graph.steepness(self.coordinates).max(initial=0.0))
@@ -301,9 +301,9 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
                 artifact.write(path, values)
         artifact.annotate("status", "complete" if run.failure is None else "unstable")
         artifact.annotate("timing/integration", seconds)
-        if run.strains:
-            artifact.annotate("doubts", "\n".join(run.strains))
-        for doubt in run.strains:
+        if run.unlike_training:
+            artifact.annotate("doubts", "\n".join(run.unlike_training))
+        for doubt in run.unlike_training:
             report.warn(f"{run.name}: {doubt}")
         if run.failure is not None:
             artifact.annotate("status_detail", str(run.failure))
