@@ -54,6 +54,7 @@ class Ability(Enum):
     EXTREMES = "maps of the ranges in which it is stable"
     MEMORY = "closures with a memory length"
     MODE_FIELDS = "modes that are fields on points"
+    PORTABLE = "files that other programs run"
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,8 @@ class Family:
         - `sized(workspace, section, basis)` returns a section with its number of modes in a basis.
         - `stored_run` is the class of its stored runs, a `StoredRun`.
         - `limits(workspace, sections, point, probes)` yields each `Limit` of the models at a point.
+        - `portable(model)` returns the arrays of a model for other programs, `mode_samples(model,
+          points)` the fields of the constant part of its states and of its modes.
         - `measured_at(workspace, point)` returns measurements of a mapped full run that are not
           among those of the case.
         """
@@ -131,6 +134,7 @@ _NO_SYSTEM = (
     "choose a model with evaluation: operators"
 )
 _NO_POLYNOMIAL = "is not for models of a free surface"
+_NOT_PORTABLE = "{model} has a free surface, and only systems of polynomials are exported"
 FAMILIES: Mapping[str, Family] = {
     "points": Family(
         kind="fast",
@@ -141,6 +145,8 @@ FAMILIES: Mapping[str, Family] = {
             "model": "points.fast_model:FastModel",
             "run_point": "points.runs:run_point",
             "stored_run": "points.runs:CoordinateRun",
+            "portable": "points.portable:parts",
+            "mode_samples": "points.portable:mode_samples",
         },
         lacks={},
     ),
@@ -158,6 +164,7 @@ FAMILIES: Mapping[str, Family] = {
             Ability.SENSITIVITIES: _NO_SYSTEM,
             Ability.OTHER_TIMES: "needs a model on the reference points",
             Ability.TRAINING: "needs a model with evaluation: operators",
+            Ability.PORTABLE: _NO_SYSTEM,
         },
         costs_alike=True,
     ),
@@ -184,6 +191,7 @@ FAMILIES: Mapping[str, Family] = {
             Ability.EXTREMES: "maps no models of a free surface",
             Ability.MEMORY: "models of a free surface have no memory",
             Ability.MODE_FIELDS: "models of a free surface need no splines of modes",
+            Ability.PORTABLE: _NOT_PORTABLE,
         },
     ),
 }
