@@ -228,7 +228,7 @@ class _Export:
             "density": case.fluid.reference_density,
             "sound_speed": case.plan.sound_speed,
             "viscosity": self.flow_scale,
-            "products": [[n.removeprefix("kinematic ") for n in p] for p in self.products.names],
+            "products": self.products.names,
             "times": {
                 "start": times.start_time,
                 "interval": times.interval,
