@@ -343,7 +343,7 @@ def export(
         option(
             "FORMAT",
             "vtu: files for ParaView and a .pvd list; csv: histories at points; model: trained "
-            "models as JSON for other programs.",
+            "models as JSON for other programs; page: as HTML pages that run them.",
         ),
     ] = "vtu",
     into: Annotated[
@@ -351,6 +351,9 @@ def export(
     ] = None,
     at: Annotated[
         list[str] | None, option("X,Y", "A point [m] for csv; may be repeated.  [default: a line]")
+    ] = None,
+    columns: Annotated[
+        int | None, option("N", "Columns of the grid of a page's pictures.  [default: by size]")
     ] = None,
 ) -> None:
     """Export fields, or trained models, to files for other programs.
@@ -364,4 +367,5 @@ def export(
       sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
       sphrom export cases/taylor_green_demo.yaml --only fast-m5 --into vtu
       sphrom export cases/taylor_green_demo.yaml --only fast-m5 --to model
+      sphrom export cases/taylor_green_demo.yaml --only fast-m5 --to page
     """

@@ -30,7 +30,7 @@ from sphrom.exchange.import_options import place
 from sphrom.models.contract import Model, model_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import rows_of_columns, write_csv
-from sphrom.portable import document
+from sphrom.portable import document, page
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.artifact_folder import Target, make_folder
@@ -41,8 +41,8 @@ from sphrom.whole_files import replacement
 
 FOLDER = "export"
 """Default folder of exported files, beside the artifacts."""
-FIELDS, PROBES, MODEL = "vtu", "csv", "model"
-"""Fields for ParaView, tables of histories at points, and trained models for other programs."""
+FIELDS, PROBES, MODEL, PAGE = "vtu", "csv", "model", "page"
+"""Fields for ParaView, tables of histories at points, trained models for other programs, and as pages."""
 HEAD = {"time": "s", "x": "m", "y": "m", "velocity_x": "m/s", "velocity_y": "m/s", "pressure": "Pa"}
 """Columns of a run's table, with their units; the rows are all pairs of a time and a point."""
 POINTS = "reference_position"
@@ -75,10 +75,12 @@ def run(
     to: str = FIELDS,
     into: Path | None = None,
     at: Sequence[str] | None = None,
+    columns: int | None = None,
 ) -> None:
     """Export all existing artifacts of a case that have fields, or its trained models.
 
     With `to="csv"`, only runs are exported, at points `at` like `0.5,0.5`, or along the line.
+    `columns` is the number of columns of the pictures of a page.
 
     Raises ArtifactError when there is none, one does not belong to the case, or a file can't be
     written; CaseError when the format is unknown, a point is not in the fluid, or a format can't
@@ -89,6 +91,11 @@ def run(
         raise CaseError(f"--to: must be one of {', '.join(formats)}; got {to!r}")
     if at and to != PROBES:
         raise CaseError(f"--at: needs --to {PROBES}")
+    if columns is not None:
+        if to != PAGE:
+            raise CaseError(f"--columns: needs --to {PAGE}")
+        show = partial(page.content, n_columns=columns)
+        formats[PAGE] = partial(_write_models, suffix=".html", content=show)
     workspace = Workspace(context)
     folder = into or context.out / FOLDER
     if formats[to](workspace, folder) == 0:
@@ -304,5 +311,6 @@ def _write_models(
 
 MODELS: Mapping[str, Callable[[Workspace, Path], int]] = {
     MODEL: partial(_write_models, suffix=".json", content=document.content),
+    PAGE: partial(_write_models, suffix=".html", content=page.content),
 }
 """Functions that write trained models, by format."""

@@ -26,7 +26,7 @@ from sphrom.compare.basis_figures import frame_of
 from sphrom.compare.comparison_figures import QUANTITIES, side_by_side
 from sphrom.compare.comparison_tables import RECORDS, Tables
 from sphrom.models.stored_run import StoredRun
-from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
+from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale, gradient
 from sphrom.plots.tables import format_figure, read_csv
 from sphrom.report.page import (
     Html,
@@ -226,14 +226,6 @@ def _cell(text: str, digits: int) -> str:
             continue
         return text.removesuffix(".0") if "." in text and len(text) < SHORT else figure
     return text or format_figure(None)
-
-
-def gradient(colours: str, n_colours: int = 9) -> list[str]:
-    """Return colours of a colour map of matplotlib, from low to high values, for CSS."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
-    return [to_hex(c) for c in colormaps[colours](np.linspace(0.0, 1.0, n_colours))]
 
 
 def paint(field: Array, colours: str, ends: tuple[float, float]) -> Pixels:

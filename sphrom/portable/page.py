@@ -1,0 +1,80 @@
+"""A trained model as one HTML page that runs it in the browser, without a network.
+
+`page.html` has the frame and the style, `model.js` the numbers and `page.js` the controls. The page
+contains the document of the model with the fields of its modes on a grid, as whole numbers with a
+scale for each field of each mode. Names are escaped here, or shown as texts by the scripts.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from sphrom.errors import CaseError
+from sphrom.models.contract import Model
+from sphrom.plots.panels import SIGNED_MAP, SPEED_MAP, gradient, line_of
+from sphrom.portable import document
+from sphrom.text import visible
+from sphrom.version import __version__
+
+MOST_COLUMNS = 160
+"""Most columns of a picture's grid if the user gives no number."""
+MOST_BYTES, FOR_FIELDS = 1_400_000, 400_000
+"""Most bytes of the page then, and bytes that the fields of modes may have on any page."""
+WRITTEN = 8.0 / 3.0
+"""Bytes of a number of 16 bits in base64."""
+LEAST_COLUMNS = 8
+"""Least columns of a grid that shows anything."""
+LARGEST = 32767
+"""The largest number of 16 bits."""
+
+
+def content(model: Model[Any], n_columns: int | None = None) -> bytes:
+    """Return the page of a model.
+
+    Parameters
+    ----------
+    n_columns : number of columns of the picture's grid; by default as many as `MOST_BYTES` allow.
+
+    Raises CaseError that names what the page can't represent.
+    """
+    if n_columns is not None and n_columns < LEAST_COLUMNS:
+        raise CaseError(f"--columns: must be {LEAST_COLUMNS} or more; got {n_columns}")
+    found = document.document(model)
+    if n_columns is None:
+        width, height = model.workspace.case.scene.domain.lengths
+        left = max(FOR_FIELDS, MOST_BYTES - len(json.dumps(document.encoded(found))))
+        n_cells = left / (3 * WRITTEN * (1 + found["n_modes"] + found["n_own"]))
+        n_columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, int(math.sqrt(n_cells * width / height))))
+    fields = document.fields(model, n_columns)
+    found["fields"] = fields | _rounded(fields["modes"])
+    case = model.workspace.case
+    name = model.section.name
+    template = Template(_text("page.html"))
+    page = template.substitute(
+        title=escape(visible(f"{case.name}: {name}")),
+        lead=escape(visible(f"{case.scene.title}. The sliders run the model within this page.")),
+        colour=line_of([each.name for each in case.rom].index(name))["color"],
+        colours=json.dumps({"plain": gradient(SPEED_MAP), "signed": gradient(SIGNED_MAP)}),
+        document=json.dumps(document.encoded(found)).replace("<", "\\u003c"),
+        code=_text("model.js") + _text("page.js"),
+        footer=escape(f"sphrom {__version__}, sphrom export --to page"),
+    )
+    return page.encode()
+
+
+def _rounded(modes: Any) -> dict[str, Any]:
+    """Return modes (3, n_columns, ny, nx) as whole numbers, with a scale (3, n_columns) each."""
+    largest = np.abs(modes).max(axis=(2, 3)).astype(np.float64)
+    scale = np.where(largest > 0.0, largest, 1.0) / LARGEST
+    return {"modes": np.round(modes / scale[..., None, None]).astype(np.int16), "scale": scale}
+
+
+def _text(name: str) -> str:
+    return (files("sphrom.portable") / name).read_text(encoding="utf-8")
