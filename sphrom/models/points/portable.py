@@ -172,9 +172,9 @@ class _Export:
         case = model.workspace.case
         section = model.section
         if case.plan.model_steps(section) != case.plan.steps:
-            _refuse("its runs end at another time than the training runs (rom.final_time)")
+            _refuse("its runs end at another time than the training runs (until)")
         if section.time_step != "auto":
-            _refuse(f"its time_step is {section.time_step}; only automatic ones are exported")
+            _refuse(f"its time_step is {section.time_step}, and only automatic ones are exported")
         self.case = case
         self.model = model
         self.basis: BasisModel = model.on_basis(_basis_name(model))

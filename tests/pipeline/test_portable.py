@@ -1,0 +1,208 @@
+"""Exported models answer like `rom`, by programs that know nothing of this package."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sphrom as package
+from sphrom.case.loader import parameter_point
+from sphrom.errors import CaseError
+from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.portable.document import content, document
+from sphrom.reduction.reference_model import Integrator
+
+ROOT = Path(__file__).parents[2]
+VORTEX = {
+    "name": "portable_vortex",
+    "scene": {"kind": "taylor-green", "measure": {"spot": {"probe": [0.25, 0.1]}}},
+    "discretization": {"resolution": 16, "smoothing_length_ratio": 2.0},
+    "time": {"final_time": 0.1, "courant_number": 0.75},
+    "snapshots": {"every": 2},
+    "parameters": {"train": {"reynolds": [100, 200]}},
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}, {"name": "particles"}],
+}
+LID = {
+    "name": "portable_lid",
+    "scene": {
+        "kind": "lid-driven-cavity",
+        "measure": {
+            "drag": {"force_on": "top", "coefficient": {"speed": 1.0, "length": 1.0}},
+            "vortex": {"flow_rate": {"from": [0.5, 0.5], "to": [0.5, 1.0]}},
+            "line": {"line": {"from": [0.5, 0.2], "to": [0.5, 0.8], "points": 3}},
+        },
+    },
+    "discretization": {"resolution": 10},
+    "time": {"final_time": 1.0},
+    "snapshots": {"every": 3},
+    "parameters": {"train": {"reynolds": [50, 100], "lid": [0.5, 1.0]}},
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 5}],
+}
+CHANNEL = {
+    "name": "portable_channel",
+    "scene": {
+        "kind": "custom",
+        "box": {"lower": [0, 0], "upper": [3, 2], "periodic": ["x"]},
+        "solids": {"body": {"circle": {"centre": [1, 1], "radius": 0.4}}},
+        "body_force": ["0.4*(1 - exp(-t*t))", 0],
+        "reference_length": 0.8,
+        "measure": {"drag": {"force_on": "body"}, "behind": {"probe": [2, 1]}},
+    },
+    "discretization": {"resolution": 11},
+    "time": {"final_time": 2.0},
+    "snapshots": {"every": 5},
+    "parameters": {"train": {"reynolds": [20, 40], "body_force": [0.5, 1.0]}},
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 5}],
+}
+CASES = {"vortex": VORTEX, "lid": LID, "channel": CHANNEL}
+POINTS = {
+    "vortex": [{"reynolds": 137.0}, {"reynolds": 190.0}, {"reynolds": 230.0}],
+    "lid": [{"reynolds": 73.0, "lid": 0.6}, {"reynolds": 90.0, "lid": 0.95}],
+    "channel": [{"reynolds": 33.0, "body_force": 0.7}, {"reynolds": 25.0, "body_force": 1.1}],
+}
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory) -> Callable[[str], FastModel]:
+    """The trained model of a case, alone."""
+    known: dict[str, FastModel] = {}
+
+    def model(name: str) -> FastModel:
+        if name not in known:
+            out = tmp_path_factory.mktemp(name)
+            package.Study(CASES[name], out=out, quiet=True, threads=1).run(until="operators")
+            known[name] = package.load(out / "model-fast.h5")._fast
+        return known[name]
+
+    return model
+
+
+@pytest.fixture(scope="module")
+def reader() -> SimpleNamespace:
+    """The programs of the documentation."""
+    text = (ROOT / "docs" / "portable.md").read_text()
+    names: dict[str, Any] = {}
+    for program in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        exec(program, names)
+    return SimpleNamespace(**names)
+
+
+@pytest.fixture
+def written(trained, tmp_path) -> Callable[[str], Path]:
+    """The document of a case as a file."""
+
+    def write(name: str) -> Path:
+        path = tmp_path / f"{name}.json"
+        path.write_bytes(content(trained(name)))
+        return path
+
+    return write
+
+
+def in_its_steps(
+    model: FastModel, values: Mapping[str, float], steps: Mapping[str, Any]
+) -> FastRun:
+    """Return a run with as many steps as the document has."""
+    point = parameter_point(model.workspace.case, values)
+    reduced = model.at(point)
+    own = model.at_point(point).integrator(reduced)
+    intervals = reduced.output_times.n_snapshots - 1
+    n = -(-intervals // steps["snapshots_per_step"]) * steps["steps_per_snapshot"]
+    parts = [part and part.scaled(part.n_steps / n) for part in (own.whole, own.leading)]
+    return model.run(point, reduced, Integrator(reduced, *parts))
+
+
+def column(quantities: Mapping[str, Any], output: Mapping[str, Any]) -> np.ndarray:
+    """Return the history (n_snapshots,) of an output."""
+    values = quantities[output["measure"]][output["quantity"]]
+    if output["at"] is not None:
+        place = re.search(r"\[(\d+)\]", output["name"])
+        values = values[:, int(place[1]) if place else 0]
+    return values if output["component"] is None else values[:, output["component"]]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_programs_of_the_documentation_run_as_rom_does(name, trained, written, reader) -> None:
+    model, path = trained(name), written(name)
+    for values in POINTS[name]:
+        run = reader.PortableModel(path, **values)
+        places = run.d["runs"]["places"]
+        nearest = np.linalg.norm(places - run.place, axis=1).argmin()
+        known = in_its_steps(model, values, run.d["runs"]["steps"][nearest])
+        size = np.abs(known.coordinates).max()
+        assert np.abs(run.coordinates - known.coordinates).max() < 1e-12 * size
+        assert np.abs(run.states - known.states).max() < 1e-9 * np.abs(known.states).max()
+        outputs = run.outputs()
+        percent, errors, outside = reader.errors(run)
+        estimate = known.estimate
+        assert outside == estimate.extrapolated
+        assert percent == pytest.approx(
+            [estimate.velocity_percent, estimate.pressure_percent], rel=1e-8
+        )
+        for index, output in enumerate(run.d["outputs"]):
+            expected = column(known.measured, output)
+            found = outputs[output["name"]]
+            assert np.abs(found - expected).max() < 1e-8 * max(np.abs(expected).max(), 1e-6)
+            expected = column(known.measured_errors, output)
+            np.testing.assert_allclose(errors[:, index], expected, rtol=1e-7)
+        usual = model.run(parameter_point(model.workspace.case, values))
+        assert np.abs(run.coordinates - usual.coordinates).max() < 0.01 * size
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_documents_follow_their_schema(name, written) -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
+    schema = json.loads((ROOT / "sphrom" / "portable" / "model.schema.json").read_text())
+    found = json.loads(written(name).read_text())
+    jsonschema.Draft202012Validator(schema).validate(found)
+    assert {each["name"]: (each["low"], each["high"]) for each in found["parameters"]} == {
+        key: (min(values), max(values))
+        for key, values in CASES[name]["parameters"]["train"].items()
+    }
+    names = [each["name"] for each in found["outputs"]]
+    assert len(set(names)) == len(names) == found["errors"]["noise"]["shape"][1]
+
+
+def test_fields_are_those_of_runs(trained) -> None:
+    model = trained("channel")
+    fields = document(model, 30)["fields"]
+    run = model.run(parameter_point(model.workspace.case, POINTS["channel"][0]))
+    states = np.column_stack((np.ones(len(run.time)), run.states))
+    found = np.tensordot(states, fields["modes"], (1, 1))
+    x, y = 1.75, 0.35  # the centre of a cell
+    column, row = int(x / 3 * fields["nx"]), int(y / 2 * fields["ny"])
+    centre = np.array([[3 * (column + 0.5) / fields["nx"], 2 * (row + 0.5) / fields["ny"]]])
+    samples = run.sampled(centre)
+    velocity = found[:, :2, row, column]
+    assert np.abs(velocity - samples.velocity[:, 0]).max() < 1e-6 * np.abs(velocity).max()
+    pressure = found[:, 2, row, column]
+    pressure += run.reduced.mean_density_fluctuation * model.workspace.case.plan.sound_speed**2
+    assert np.abs(pressure - samples.pressure[:, 0]).max() < 1e-5 * np.abs(pressure).max()
+    assert not fields["inside"][int(0.5 * fields["ny"]), int(fields["nx"] / 3)]
+
+
+def changed(case: Mapping[str, Any], **keys: Any) -> dict[str, Any]:
+    model = {**case["rom"][0], **keys}
+    return {**case, "rom": [model]}
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        ({"time_step": 1 / 180}, "time_step is 0.0055"),
+        ({"until": 0.15}, "until"),
+        ({"memory_length": "auto", "projection": "apg"}, "memory length"),
+    ],
+)
+def test_what_the_document_lacks_is_refused_by_name(keys, reason, tmp_path) -> None:
+    study = package.Study(changed(VORTEX, **keys), out=tmp_path, quiet=True, threads=1)
+    study.run(until="operators")
+    with pytest.raises(CaseError, match=reason):
+        document(study.model("fast", reynolds=100)._fast)
