@@ -207,12 +207,12 @@ function show() {
 }
 
 // Add the controls of a parameter: a slider that goes beyond the trained range, and a number.
-function addParameter({name, unit, low, high, logarithm, ...parameter}, k) {
+function addParameter({name, unit, low, high, ...parameter}, k) {
   const beyond = high > low ? (high - low) / 2 : Math.abs(low) / 2 || 1;
   const step = 10 ** Math.floor(Math.log10(beyond / 10));
   const bottom = low > 0 ? Math.max(low / 2, low - beyond) : low - beyond;
-  const [least, most] = [bottom, high + beyond].map(x => Number((Math.round(x / step) * step).toPrecision(12)));
-  const limits = {min: least, max: most, step, value: parameter.default};
+  const [least, most, value] = [bottom, high + beyond, parameter.default].map(x => +(Math.round(x / step) * step).toPrecision(12));
+  const limits = {min: least, max: most, step, value};
   const slider = make("input", {type: "range", id: `p${k}`, ...limits});
   const number = make("input", {type: "number", "aria-label": `${name}, as a number`, ...limits, step: "any"});
   const share = x => (x - least) / (most - least);
@@ -221,7 +221,7 @@ function addParameter({name, unit, low, high, logarithm, ...parameter}, k) {
   const label = `${name}${unit === "1" ? "" : ` [${unit}]`}`;
   $("parameters").append(make("div", {class: "parameter"}, make("label", {for: `p${k}`}, label),
     make("span", {class: "track"}, slider, trained), number));
-  state.parameters[name] = parameter.default;
+  state.parameters[name] = value;
   const change = (from, to) => () => {
     const value = from.valueAsNumber;
     if (!(value >= least && value <= most)) return;

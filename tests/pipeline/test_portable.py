@@ -16,6 +16,7 @@ import sphrom as package
 from sphrom.case.loader import parameter_point
 from sphrom.errors import CaseError
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.portable import page
 from sphrom.portable.document import content, document
 from sphrom.reduction.reference_model import Integrator
 
@@ -206,3 +207,151 @@ def test_what_the_document_lacks_is_refused_by_name(keys, reason, tmp_path) -> N
     study.run(until="operators")
     with pytest.raises(CaseError, match=reason):
         document(study.model("fast", reynolds=100)._fast)
+
+
+@pytest.fixture
+def shown(trained, browser, tmp_path) -> Callable[..., Any]:
+    """The browser with the page of a case."""
+
+    def show(name: str, **window: Any) -> Any:
+        path = tmp_path / "page.html"
+        path.write_bytes(page.content(trained(name), 24))
+        browser.open(path, **window)
+        return browser
+
+    return show
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_a_page_answers_as_rom_does(name, trained, shown) -> None:
+    model, browser = trained(name), shown(name)
+    for values in POINTS[name]:
+        found = browser.value(
+            f"""(() => {{
+                const found = run(model, {json.dumps(values)}), known = estimated(model, found);
+                solution = found;
+                return {{
+                    coordinates: [...found.coordinates], outputs: measured(model, found),
+                    percent: known.percent, errors: known.outputs, outside: known.outside,
+                    nearest: nearest(rowsOf(model.runs.places).map(x => distance(x, found.place))),
+                    fields: [[u], [v], [pressure], [u, v], [vorticity]].map((parts, k) => {{
+                        state.quantity = Object.keys(QUANTITIES)[k === 2 ? 1 : 0];
+                        return [...fieldOf(parts, stateAt(end))];
+                    }}),
+                }};
+            }})()"""
+        )
+        numbers = document(model, 24)
+        known = in_its_steps(model, values, numbers["runs"]["steps"][found["nearest"]])
+        size = np.abs(known.coordinates).max()
+        coordinates = np.reshape(found["coordinates"], known.coordinates.shape)
+        assert np.abs(coordinates - known.coordinates).max() < 1e-10 * size
+        estimate = known.estimate
+        assert found["outside"] == estimate.extrapolated
+        expected = [estimate.velocity_percent, estimate.pressure_percent]
+        assert found["percent"] == pytest.approx(expected, rel=1e-7)
+        for index, output in enumerate(numbers["outputs"]):
+            expected = column(known.measured, output)
+            tolerance = 1e-8 * max(np.abs(expected).max(), 1e-6)
+            assert np.abs(np.array(found["outputs"][index]) - expected).max() < tolerance
+            expected = column(known.measured_errors, output)
+            np.testing.assert_allclose(found["errors"][index], expected, rtol=1e-6)
+        fields = numbers["fields"]
+        inside = fields["inside"].astype(bool).ravel()
+        axes = (
+            low + (high - low) * (np.arange(n) + 0.5) / n
+            for low, high, n in zip(
+                fields["lower"], fields["upper"], (fields["nx"], fields["ny"]), strict=True
+            )
+        )
+        points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)[inside]
+        samples = known.sampled(points)
+        *shown_fields, vorticity = (np.array(field)[inside] for field in found["fields"])
+        velocity, pressure = samples.velocity[-1], samples.pressure[-1]
+        exact = velocity[:, 0], velocity[:, 1], pressure, np.hypot(*velocity.T)
+        for seen, truth in zip(shown_fields, exact, strict=True):
+            scale = np.abs(pressure if truth is pressure else velocity).max()
+            assert np.abs(seen - truth).max() < 1e-4 * scale
+        assert np.isfinite(vorticity).all()
+
+
+@pytest.mark.slow
+def test_the_vorticity_of_a_page_is_that_of_the_flow(shown) -> None:
+    browser = shown("vortex")
+    found = browser.value(
+        "(() => { state.quantity = 'vorticity'; "
+        "return [...fieldOf([vorticity], stateAt(start))] })()"
+    )
+    x, y = np.meshgrid(*[(np.arange(24) + 0.5) / 24] * 2)
+    velocity = browser.value(
+        "[u, v].map(part => [...onGrid(part, stateAt(start))])"
+    )
+    amplitude = np.abs(velocity).max()
+    assert len(found) == x.size == y.size
+    # Both velocities are products of a sine and a cosine of 2 pi x and 2 pi y.
+    largest = 4 * np.pi * amplitude
+    assert np.abs(found).max() == pytest.approx(largest, rel=0.05)
+    assert abs(np.mean(found)) < 1e-3 * largest
+
+
+@pytest.mark.slow
+def test_a_page_is_used_by_keyboard_and_asks_for_nothing(shown) -> None:
+    browser = shown("lid", width=400)
+    said = "document.querySelector('[role=status]').textContent"
+    before = browser.value(said)
+    assert "reynolds = 71, lid = 0.75, t = " in before
+    assert "Estimated error over the whole field and run: " in before
+    assert not browser.value("document.body.classList.contains('outside')")
+    browser.value("document.getElementById('p1').focus()")
+    browser.press("ArrowRight", 39)
+    assert "lid = 0.76" in browser.value(said)
+    browser.press("End", 35)
+    assert "Outside of the trained range: lid was trained from 0.5 to 1." in browser.value(said)
+    assert "extrapolated" in browser.value(said)
+    assert browser.value("document.body.classList.contains('outside')")
+    browser.value("document.getElementById('time').focus()")
+    browser.press("Home", 36)
+    assert "t = 0 s" in browser.value(said)
+    browser.value("document.getElementById('quantity').focus()")
+    browser.press("ArrowDown", 40)
+    assert "pressure from " in browser.value(said)
+    browser.value("document.getElementById('play').focus()")
+    browser.press(" ", 32)
+    browser.value("new Promise(done => setTimeout(done, 200))")
+    browser.press(" ", 32)
+    assert browser.value("state.time") > 0.0
+    rows = browser.value("[...document.querySelectorAll('#values tr')].map(x => x.textContent)")
+    assert len(rows) == 2 + browser.value("model.outputs.length")
+    assert browser.value("document.documentElement.scrollWidth <= innerWidth")
+    assert (browser.requests, browser.problems) == ([], [])
+
+
+@pytest.mark.slow
+def test_hostile_names_stay_texts(trained, browser, tmp_path, monkeypatch) -> None:
+    hostile = "</script><!-- <script><img src=x onerror=document.title='taken'>"
+    known = document(trained("channel"))
+    known["case"] = hostile
+    for part in (known["outputs"][0], known["parameters"][1], known["geometry"]["solids"][0]):
+        part["name"] = hostile
+    known["products"] = [
+        [hostile if name == "body_force" else name for name in names] for names in known["products"]
+    ]
+    monkeypatch.setattr(page.document, "document", lambda model: known)
+    path = tmp_path / "page.html"
+    path.write_bytes(page.content(trained("channel"), 24))
+    browser.open(path)
+    for place in ("h1", "label", "figcaption", "th", "#outlines title"):
+        texts = f"[...document.querySelectorAll('{place}')].map(x => x.textContent)"
+        assert any(hostile in text for text in browser.value(texts)), place
+    assert browser.value("document.images.length") == 0
+    assert browser.value("document.title") == f"{hostile}: fast"
+    assert browser.value("document.querySelector('[role=status]').textContent").startswith("reynolds = ")
+    assert (browser.requests, browser.problems) == ([], [])
+
+
+def test_pages_are_small(trained) -> None:
+    model = trained("lid")
+    assert len(page.content(model, 24)) < len(page.content(model)) < 1_500_000
+    with pytest.raises(CaseError, match="--columns: must be 8 or more; got 7"):
+        page.content(model, 7)
