@@ -253,12 +253,12 @@ function estimated(model, {at, place, coordinates, terms, states, width, amplitu
   return {percent: fields.map(f => 100 * ratio(f)), errors, sizes, outputs, outside: missed > 0};
 }
 
-// Return the values of a state on the picture's grid, from the columns (n_columns, n) of a field.
-function onGrid(columns, state, offset = 0) {
-  const out = new Float64Array(columns[0].length).fill(offset);
+// Return the values of a state at n places, from the columns of a field; columns may be missing.
+function onGrid(columns, state, n, offset = 0) {
+  const out = new Float64Array(n).fill(offset);
   columns.forEach((column, i) => {
     const factor = i === 0 ? 1 : state[i - 1];
-    if (factor !== 0) for (let k = 0; k < out.length; k++) out[k] += factor * column[k];
+    for (let k = 0; k < n; k++) out[k] += factor * column[k];
   });
   return out;
 }

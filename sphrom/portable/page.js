@@ -1,6 +1,6 @@
 // The page of a model: controls, picture, curves and table. model.js has the numbers.
 
-const PLAYED = 8, N_SCALED = 12, N_SAMPLED = 2000;
+const PLAYED = 8, N_SCALED = 12, N_SAMPLED = 1000;
 // Duration of a run on the page [s]; snapshots and places from which a colour scale is determined.
 const SHOWN = [0.005, 0.995];  // quantiles at the ends of a colour scale, as in all figures
 const QUANTITIES = {"speed": "m/s", "pressure": "Pa", "x-velocity": "m/s", "y-velocity": "m/s", "vorticity": "1/s"};
@@ -44,12 +44,15 @@ function derivative(values, axis) {
   });
 }
 
+// Arrays of columns of a field; columns that are zero are missing.
 const [u, v, pressure] = range(3).map(field => {
-  const {modes: {shape: [, nColumns], values}, scale} = model.fields;
-  return range(nColumns).map(column => {
-    const row = field * nColumns + column;
-    return Float32Array.from(values.subarray(row * nx * ny, (row + 1) * nx * ny), x => x * scale.values[row]);
+  const {modes, scale, field: ofField, column} = model.fields, columns = [];
+  ofField.forEach((other, row) => {
+    if (other !== field) return;
+    const values = modes.values.subarray(row * nx * ny, (row + 1) * nx * ny);
+    columns[column[row]] = Float32Array.from(values, x => x * scale.values[row]);
   });
+  return columns;
 });
 const vorticity = v.map((column, i) => {
   const across = derivative(u[i], 1);
@@ -73,9 +76,9 @@ for (let edge = fluidPlaces; edge.length;) {
 }
 
 // Return a field's values, from the columns of its parts.
-function fieldOf(parts, at) {
+function fieldOf(parts, at, n = nx * ny) {
   const offset = state.quantity === "pressure" ? model.sound_speed ** 2 * solution.mean : 0;
-  const [first, second] = parts.map(columns => onGrid(columns, at, offset));
+  const [first, second] = parts.map(columns => onGrid(columns, at, n, offset));
   return second ? first.map((x, k) => Math.hypot(x, second[k])) : first;
 }
 
@@ -89,7 +92,7 @@ function stateAt(time) {
 // Return the name and range of the colours of the chosen quantity, the same for a whole run.
 function scaleOf() {
   const values = range(N_SCALED).flatMap(i =>
-    Array.from(fieldOf(sampled[state.quantity], stateAt(start + (end - start) * i / (N_SCALED - 1)))));
+    Array.from(fieldOf(sampled[state.quantity], stateAt(start + (end - start) * i / (N_SCALED - 1)), sampledPlaces.length)));
   const known = values.filter(Number.isFinite).sort((a, b) => a - b);
   const [low, high] = SHOWN.map(q => known.length ? known[Math.round(q * (known.length - 1))] : q);
   if (!(low < 0 && high > 0)) return ["plain", low, high > low ? high : low + 1];
@@ -105,7 +108,7 @@ const tables = Object.fromEntries(Object.entries(COLOURS).map(([name, stops]) =>
   })];
 }));
 const canvas = $("field"), picture = canvas.getContext("2d"), image = picture.createImageData(nx, ny);
-let solution, results, errors, scale, failure;
+let solution, errors, scale, failure;
 
 function drawPicture() {
   const [name, low, high] = scale, table = tables[name];
@@ -165,13 +168,9 @@ function showValues() {
 
 // Run the model at the chosen parameters, and show everything.
 function solve() {
-  try {
-    solution = run(model, state.parameters);
-    errors = estimated(model, solution);
-    failure = Number.isNaN(solution.divergedAt) ? "" : `The run is unstable after t = ${short(solution.divergedAt)} s.`;
-  } catch (error) {
-    failure = error.message;
-  }
+  solution = run(model, state.parameters);
+  errors = estimated(model, solution);
+  failure = Number.isNaN(solution.divergedAt) ? "" : `The run is unstable after t = ${short(solution.divergedAt)} s.`;
   const values = measured(model, solution);
   const fields = errors ? [0, 1].map(f => [errors.sizes, errors.errors].map(list => list.map(x => x[f]))) : [];
   [...fields, ...values.map((each, k) => [each, errors && errors.outputs[k]])].forEach((pair, i) => shapePlot(plots[i], ...pair));
@@ -275,6 +274,7 @@ if (model.errors) {
 }
 model.outputs.forEach(({name, at, unit}) =>
   addPlot(at ? `${name} at (${at.map(x => short(x)).join(", ")}) m` : name, unit, $(plots.length < 8 ? "curves" : "more")));
+$("about").textContent = `From t = ${short(start)} s to ${short(end)} s; bands are estimated errors.`;
 $("further").hidden = plots.length <= 8;
 Object.keys(QUANTITIES).forEach(name => $("quantity").append(make("option", {}, name)));
 $("quantity").addEventListener("change", event => { state.quantity = event.target.value; rescale(); });

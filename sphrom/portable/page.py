@@ -50,7 +50,7 @@ def content(model: Model[Any], n_columns: int | None = None) -> bytes:
     if n_columns is None:
         width, height = model.workspace.case.scene.domain.lengths
         left = max(FOR_FIELDS, MOST_BYTES - len(json.dumps(document.encoded(found))))
-        n_cells = left / (3 * WRITTEN * (1 + found["n_modes"] + found["n_own"]))
+        n_cells = left / (WRITTEN * (3 * found["n_modes"] + found["n_own"] + 1))
         n_columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, int(math.sqrt(n_cells * width / height))))
     fields = document.fields(model, n_columns)
     found["fields"] = fields | _rounded(fields["modes"])
@@ -70,10 +70,16 @@ def content(model: Model[Any], n_columns: int | None = None) -> bytes:
 
 
 def _rounded(modes: Any) -> dict[str, Any]:
-    """Return modes (3, n_columns, ny, nx) as whole numbers, with a scale (3, n_columns) each."""
+    """Return modes (3, n_columns, ny, nx) as rows of whole numbers with a scale each.
+
+    A row has a field and a column; rows that are zero are left out.
+    """
     largest = np.abs(modes).max(axis=(2, 3)).astype(np.float64)
-    scale = np.where(largest > 0.0, largest, 1.0) / LARGEST
-    return {"modes": np.round(modes / scale[..., None, None]).astype(np.int16), "scale": scale}
+    largest[:2] = largest[:2].max(axis=0)  # both components, if there is one
+    field, column = np.nonzero(largest)
+    scale = largest[field, column] / LARGEST
+    rows = np.round(modes[field, column] / scale[:, None, None]).astype(np.int16)
+    return {"modes": rows, "scale": scale, "field": field.tolist(), "column": column.tolist()}
 
 
 def _text(name: str) -> str:

@@ -285,7 +285,7 @@ def test_the_vorticity_of_a_page_is_that_of_the_flow(shown) -> None:
     )
     x, y = np.meshgrid(*[(np.arange(24) + 0.5) / 24] * 2)
     velocity = browser.value(
-        "[u, v].map(part => [...onGrid(part, stateAt(start))])"
+        "[u, v].map(part => [...onGrid(part, stateAt(start), nx * ny)])"
     )
     amplitude = np.abs(velocity).max()
     assert len(found) == x.size == y.size
