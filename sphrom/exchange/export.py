@@ -84,7 +84,11 @@ def run(
     written; CaseError when the format is unknown, a point is not in the fluid, or a format can't
     represent a model.
     """
-    formats = {FIELDS: _write_all, PROBES: partial(_write_tables, at=at or ()), **MODELS}
+    formats: dict[str, Callable[[Workspace, Path], int]] = {
+        FIELDS: _write_all,
+        PROBES: partial(_write_tables, at=at or ()),
+        **MODELS,
+    }
     if to not in formats:
         raise CaseError(f"--to: must be one of {', '.join(formats)}; got {to!r}")
     if at and to != PROBES:
