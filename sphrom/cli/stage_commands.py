@@ -343,7 +343,7 @@ def export(
         option(
             "FORMAT",
             "vtu: files for ParaView and a .pvd list; csv: histories at points; model: trained "
-            "models as JSON for other programs.",
+            "models as JSON for other programs; fmu: as units for system simulation.",
         ),
     ] = "vtu",
     into: Annotated[

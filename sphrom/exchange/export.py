@@ -30,7 +30,7 @@ from sphrom.exchange.import_options import place
 from sphrom.models.contract import Model, model_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import rows_of_columns, write_csv
-from sphrom.portable import document
+from sphrom.portable import document, fmu
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.artifact_folder import Target, make_folder
@@ -41,8 +41,9 @@ from sphrom.whole_files import replacement
 
 FOLDER = "export"
 """Default folder of exported files, beside the artifacts."""
-FIELDS, PROBES, MODEL = "vtu", "csv", "model"
-"""Fields for ParaView, tables of histories at points, and trained models for other programs."""
+FIELDS, PROBES, MODEL, UNIT = "vtu", "csv", "model", "fmu"
+"""Fields for ParaView, tables of histories at points, and trained models for other programs, as
+documents or as units for system simulation."""
 HEAD = {"time": "s", "x": "m", "y": "m", "velocity_x": "m/s", "velocity_y": "m/s", "pressure": "Pa"}
 """Columns of a run's table, with their units; the rows are all pairs of a time and a point."""
 POINTS = "reference_position"
@@ -308,5 +309,6 @@ def _write_models(
 
 MODELS: Mapping[str, Callable[[Workspace, Path], int]] = {
     MODEL: partial(_write_models, suffix=".json", content=document.content),
+    UNIT: partial(_write_models, suffix=".fmu", content=fmu.content),
 }
 """Functions that write trained models, by format."""
