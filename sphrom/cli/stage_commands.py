@@ -343,7 +343,8 @@ def export(
         option(
             "FORMAT",
             "vtu: files for ParaView and a .pvd list; csv: histories at points; model: trained "
-            "models as JSON for other programs; page: as HTML pages that run them.",
+            "models as JSON for other programs; fmu: as units for system simulation; page: as "
+            "HTML pages that run them.",
         ),
     ] = "vtu",
     into: Annotated[
@@ -362,7 +363,7 @@ def export(
     pod.pvd steps through the modes. Fields that a run does not store are computed from its modes.
 
     \b
-    Example, all runs of a case, histories at a point, the runs of one model, and that model itself:
+    Example, all runs, histories at a point, the runs of a model, and the model:
       sphrom export cases/taylor_green_demo.yaml
       sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
       sphrom export cases/taylor_green_demo.yaml --only fast-m5 --into vtu

@@ -30,7 +30,7 @@ from sphrom.exchange.import_options import place
 from sphrom.models.contract import Model, model_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import rows_of_columns, write_csv
-from sphrom.portable import document, page
+from sphrom.portable import document, fmu, page
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.artifact_folder import Target, make_folder
@@ -41,8 +41,9 @@ from sphrom.whole_files import replacement
 
 FOLDER = "export"
 """Default folder of exported files, beside the artifacts."""
-FIELDS, PROBES, MODEL, PAGE = "vtu", "csv", "model", "page"
-"""Fields for ParaView, tables of histories at points, trained models for other programs, and as pages."""
+FIELDS, PROBES, MODEL, UNIT, PAGE = "vtu", "csv", "model", "fmu", "page"
+"""Fields for ParaView, tables of histories at points, and trained models for other programs, as
+documents, as units for system simulation, or as pages that run them."""
 HEAD = {"time": "s", "x": "m", "y": "m", "velocity_x": "m/s", "velocity_y": "m/s", "pressure": "Pa"}
 """Columns of a run's table, with their units; the rows are all pairs of a time and a point."""
 POINTS = "reference_position"
@@ -86,7 +87,11 @@ def run(
     written; CaseError when the format is unknown, a point is not in the fluid, or a format can't
     represent a model.
     """
-    formats = {FIELDS: _write_all, PROBES: partial(_write_tables, at=at or ()), **MODELS}
+    formats: dict[str, Callable[[Workspace, Path], int]] = {
+        FIELDS: _write_all,
+        PROBES: partial(_write_tables, at=at or ()),
+        **MODELS,
+    }
     if to not in formats:
         raise CaseError(f"--to: must be one of {', '.join(formats)}; got {to!r}")
     if at and to != PROBES:
@@ -311,6 +316,7 @@ def _write_models(
 
 MODELS: Mapping[str, Callable[[Workspace, Path], int]] = {
     MODEL: partial(_write_models, suffix=".json", content=document.content),
+    UNIT: partial(_write_models, suffix=".fmu", content=fmu.content),
     PAGE: partial(_write_models, suffix=".html", content=page.content),
 }
 """Functions that write trained models, by format."""

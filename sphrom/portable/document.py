@@ -32,7 +32,7 @@ def document(model: Model[Any], n_columns: int = 0) -> dict[str, Any]:
 
     With `n_columns`, it has the fields of the modes on a grid with so many columns.
 
-    Raises CaseError that names what the document can't represent.
+    Raises CaseError that names the reason if the document can't represent the model.
     """
     model.family.require(Ability.PORTABLE, "export", model.section.name)
     case = model.workspace.case

@@ -8,15 +8,14 @@ name. `docs/portable.md` describes the arrays, and how to evaluate them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any, NoReturn
 
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.case.points import ParameterPoint
+from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.studies import trained_ranges
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Samples
@@ -29,7 +28,7 @@ from sphrom.reduction.error_calibration import field_of
 from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_operators import Polynomial, pack
 from sphrom.reduction.reference_model import Steps
-from sphrom.reduction.trained_basis import ALL_MODES, LEADING
+from sphrom.reduction.trained_basis import ALL_MODES, LEADING, TrainedForce
 from sphrom.setup.assembly import amplitude_of, field_measures
 from sphrom.sph.fluid import Factors
 
@@ -37,10 +36,8 @@ MISFIT = 1e-12
 """Largest difference of exported arrays from the model's, over their largest values."""
 N_COMPARED = 8
 """Random points in the trained ranges at which arrays are compared."""
-N_SCANNED = 5
-"""Values of each parameter at which time steps are chosen."""
-MOST_SCANNED = 125
-"""Most points at which time steps are chosen."""
+N_SCANNED = 32
+"""Random points at which time steps are chosen, besides those of training runs."""
 FINEST_DRIVING = 8
 """Least number of stored amplitudes per snapshot."""
 
@@ -49,7 +46,7 @@ Numbers = dict[str, Any]
 
 
 def parts(model: FastModel) -> Numbers:
-    """Return the arrays of a model; raises CaseError that names what they can't represent."""
+    """Return the arrays of a model. Raises CaseError with a reason if it can't be exported."""
     return _Export(model).parts()
 
 
@@ -76,63 +73,72 @@ def _refuse(reason: str) -> NoReturn:
     raise CaseError(f"export: {reason}; such a model can't be exported")
 
 
+Of = Callable[[float, Factors], Any]
+"""An array or a polynomial at a viscosity [m2/s] and values of the other parameters."""
+Ranges = Mapping[str, tuple[float, float]]
+
+
 @dataclass(frozen=True)
 class Products:
     """The products of parameters in which arrays are affine."""
 
-    ranges: Mapping[str, tuple[float, float]]
+    ranges: Ranges
     """The trained range of each factor, the viscosity [m2/s] first."""
 
     @property
     def names(self) -> list[list[str]]:
         """The names of the factors of each product."""
-        drives = [[], *([name] for name in list(self.ranges)[1:])]
-        return [[*viscous, *drive] for drive in drives for viscous in ([], [VISCOSITY])]
+        viscosity, *others = ([name] for name in self.ranges)
+        return [own + drive for drive in ([], *others) for own in ([], viscosity)]
 
     def at(self, values: Mapping[str, float]) -> Array:
         """Return the products (n_products,) of values."""
         return np.array([math.prod(values[name] for name in names) for names in self.names])
 
-    def of(
-        self, name: str, array: Callable[[Mapping[str, float]], Array], zero: bool = True
-    ) -> Array:
+    def of(self, name: str, of: Of, near: bool = False) -> Array:
         """Return the array of each product (n_products, ...), whose sum is an array at any values.
 
-        With `zero` it is computed where factors are zero, else only near their trained ranges.
+        It is computed where factors are zero or, if `near`, in their trained ranges only.
 
         Raises CaseError that names the array if it is not affine in the products.
         """
         high = {n: max(map(abs, ends)) or 1.0 for n, ends in self.ranges.items()}
         low = dict.fromkeys(high, 0.0)
-        if not zero:
-            low = {n: ends[0] for n, ends in self.ranges.items()}
-            high = {n: b if b > a else a + (abs(a) or 1.0) for n, (a, b) in self.ranges.items()}
+        if near:
+            low = {n: a for n, (a, _) in self.ranges.items()}
+            high = {n: b if b > a else 2.0 * b or 1.0 for n, (a, b) in self.ranges.items()}
+
+        def array(values: Mapping[str, float]) -> Array:
+            factors = {n: x for n, x in values.items() if n != VISCOSITY}
+            return np.asarray(of(values[VISCOSITY], factors), dtype=float)
+
         corners = [low | {n: high[n] for n in names} for names in self.names]
-        values = np.stack([np.asarray(array(corner), dtype=float) for corner in corners])
+        values = np.stack(list(map(array, corners)))
         scales = self.at(high)
-        rows = np.stack([self.at(corner) for corner in corners]) / scales
+        rows = np.stack(list(map(self.at, corners))) / scales
         flat = np.linalg.solve(rows, values.reshape(len(rows), -1)) / scales[:, None]
-        random = np.random.default_rng(0)
-        for _ in range(N_COMPARED):
-            some = {n: random.uniform(*ends) for n, ends in self.ranges.items()}
-            known = np.asarray(array(some), dtype=float).ravel()
-            _require_fit(name, self.at(some) @ flat, known)
+        for some in sampled(self.ranges, N_COMPARED):
+            require_fit(name, self.at(some) @ flat, array(some).ravel())
         return flat.reshape(values.shape)
 
 
-def _require_fit(name: str, found: Array, known: Array) -> None:
+def sampled(ranges: Ranges, n: int) -> list[dict[str, float]]:
+    """Return random points in ranges, the same each time."""
+    shares = np.random.default_rng(0).random((n, len(ranges)))
+    low, high = np.array([*ranges.values()]).T
+    return [dict(zip(ranges, row, strict=True)) for row in (low + shares * (high - low)).tolist()]
+
+
+def require_fit(name: str, found: Array, known: Array) -> None:
+    """Raise CaseError with a name unless two arrays agree."""
     size = float(np.abs(known).max(initial=0.0)) or 1.0
     misfit = float(np.abs(found - known).max(initial=0.0)) / size
     if not misfit <= MISFIT:
-        raise CaseError(
-            f"export: {name} is not affine in the parameters (misfit {misfit:.1g}), so it can't be "
-            "exported; other parameters in parameters.train may be"
-        )
+        _refuse(f"{name} is not affine in the parameters (misfit {misfit:.1g})")
 
 
-def stacked(polynomial: Polynomial, n_powers: int | None = None) -> Array:
-    """Return the coefficients (n_powers, n_rows, n_monomials) of a polynomial."""
-    rows = [pack(tensors) for tensors in polynomial.powers][:n_powers]
+def padded(rows: Sequence[Array]) -> Array:
+    """Return arrays (n, ...) of different widths as one, with zeros at their ends."""
     width = max(row.shape[1] for row in rows)
     return np.stack([np.pad(row, ((0, 0), (0, width - row.shape[1]))) for row in rows])
 
@@ -142,23 +148,20 @@ def kriging(correction: Correction | None, rows: Array) -> Numbers | None:
 
     Values (n_runs, n_snapshots, n_entries) times exp(-distance / length) are to be added.
     """
-    if correction is None:
-        return None
-    places = correction.places
-    between = np.linalg.norm(places[:, None] - places, axis=2)
     entries: dict[tuple[float, int], Array] = {}
-    for column, length in enumerate(correction.lengths.tolist()):
-        if length == 0.0:
-            continue
-        defects = correction.defects[..., column]
-        solved = np.linalg.solve(np.exp(-between / length), defects)
-        for row in np.flatnonzero(rows[:, column % rows.shape[1]]).tolist():
-            share = rows[row, column % rows.shape[1]] * solved
-            entries[length, row] = entries.get((length, row), 0.0) + share
-    if not entries:
+    lengths = [] if correction is None else correction.lengths.tolist()
+    for column, length in enumerate(lengths):
+        if correction is not None and length > 0.0:
+            places = correction.places
+            alike = np.exp(-np.linalg.norm(places[:, None] - places, axis=2) / length)
+            solved = np.linalg.solve(alike, correction.defects[..., column])
+            for row, factor in enumerate(rows[:, column % rows.shape[1]].tolist()):
+                if factor != 0.0:
+                    entries[length, row] = entries.get((length, row), 0.0) + factor * solved
+    if correction is None or not entries:
         return None
     return {
-        "places": places,
+        "places": correction.places,
         "lengths": np.array([length for length, _ in entries]),
         "targets": [row for _, row in entries],
         "values": np.stack([*entries.values()], axis=-1),
@@ -182,52 +185,42 @@ class _Export:
         self.rates = self.trained.rates[ALL_MODES]
         if any(rates.memory is not None for rates in self.trained.rates.values()):
             _refuse("it has a closure with a memory length")
-        if self.basis.problem is not None:
-            raise self.basis.problem
+        first = self.basis.points[0]
+        self.first = model.at(first)
+        self.scale = case.plan.kinematic_viscosity(first) * first.reynolds
         self.ranges = trained_ranges(case, section)
-        low, high = self.ranges["reynolds"]
-        self.flow_scale = case.plan.kinematic_viscosity(self._point({"reynolds": 1.0}))
-        others = {name: ends for name, ends in self.ranges.items() if name != "reynolds"}
-        viscosities = self.flow_scale / high, self.flow_scale / low
-        self.products = Products({VISCOSITY: viscosities, **others})
-        self.own = self.trained.own_pressure
-        self.first = self.model.at(self._point({n: a for n, (a, _) in self.ranges.items()}))
+        low, high = self.ranges[REYNOLDS]
+        others = {name: ends for name, ends in self.ranges.items() if name != REYNOLDS}
+        self.products = Products({VISCOSITY: (self.scale / high, self.scale / low), **others})
         self.n_powers = 1 if self.first.amplitude is None else None
 
-    def _point(self, values: Mapping[str, float]) -> ParameterPoint:
+    def _point(self, values: dict[str, float]) -> ParameterPoint:
         return self.case.plan.point(values)
 
-    def _polynomials(self, name: str, of: Callable[[float, Factors], Polynomial]) -> Array:
+    def _polynomials(self, name: str, of: Of) -> Array:
         """Return the coefficients (n_products, n_powers, n_rows, n_monomials) of polynomials."""
 
-        def array(values: Mapping[str, float]) -> Array:
-            factors = {n: x for n, x in values.items() if n != VISCOSITY}
-            return stacked(of(values[VISCOSITY], factors), self.n_powers)
+        def array(viscosity: float, factors: Factors) -> Array:
+            return padded([pack(t) for t in of(viscosity, factors).powers[: self.n_powers]])
 
         return self.products.of(name, array)
 
     def parts(self) -> Numbers:
         """Return all of them."""
-        case = self.case
         times = self.first.output_times
-        modes = np.eye(self.basis.basis.n_modes)
+        leading = self.trained.rates.get(LEADING, self.rates)
+
+        def rates(viscosity: float, factors: Factors) -> Polynomial:
+            return leading.at(viscosity, factors)[0]
+
+        n_modes = self.basis.basis.n_modes
         steps = self._steps()
         outputs, linear = self._linear()
-        forces = self._forces(outputs)
-        leading = self.trained.rates.get(LEADING, self.rates)
-        pressure = None
-        if (own := self.own) is not None:
-            pressure = {
-                "coefficients": self._polynomials(
-                    "the pressure of own modes",
-                    lambda nu, factors: own.at(self._rates(nu, factors), nu, factors),
-                ),
-                "correction": kriging(own.correction, np.eye(len(own.modes))),
-            }
+        forces = [self._force(name, force, outputs) for name, force in self.trained.forces.items()]
         return {
-            "density": case.fluid.reference_density,
-            "sound_speed": case.plan.sound_speed,
-            "viscosity": self.flow_scale,
+            "density": self.case.fluid.reference_density,
+            "sound_speed": self.case.plan.sound_speed,
+            "viscosity": self.scale,
             "products": self.products.names,
             "times": {
                 "start": times.start_time,
@@ -235,19 +228,17 @@ class _Export:
                 "n_snapshots": times.n_snapshots,
             },
             "n_integrated": self.basis.n_integrated,
-            "n_modes": len(modes),
-            "n_own": 0 if self.own is None else len(self.own.modes),
+            "n_modes": n_modes,
+            "n_own": self.basis.whole.n_modes - n_modes,
             "driving": self._driving(steps),
             "starts": self._starts(),
             "runs": {"places": self.trained.places, "steps": steps},
             "dynamics": self._polynomials(
-                "the system of equations", lambda nu, factors: leading.at(nu, factors)[0]
+                "the system of equations", lambda *at: leading.at(*at)[0]
             ),
-            "largest_norm": self.first.leading.output_times.largest_norm
-            if self.first.leading is not None
-            else times.largest_norm,
-            "correction": kriging(self.trained.correction, modes),
-            "pressure": pressure,
+            "largest_norm": (self.first.leading or self.first).output_times.largest_norm,
+            "correction": kriging(self.trained.correction, np.eye(n_modes)),
+            "pressure": self._pressure(),
             "outputs": outputs,
             "linear": linear,
             "forces": forces,
@@ -255,84 +246,71 @@ class _Export:
             "cycles": None,
         }
 
-    def _rates(self, viscosity: float, factors: Factors) -> Polynomial:
-        return self.rates.at(viscosity, factors)[0]
+    def _pressure(self) -> Numbers | None:
+        if (own := self.trained.own_pressure) is None:
+            return None
+
+        def coordinates(viscosity: float, factors: Factors) -> Polynomial:
+            return own.at(self.rates.at(viscosity, factors)[0], viscosity, factors)
+
+        return {
+            "coefficients": self._polynomials("the pressure of own modes", coordinates),
+            "correction": kriging(own.correction, np.eye(len(own.modes))),
+        }
 
     # Time
 
     def _steps(self) -> list[Numbers]:
         """Return the time steps near each training run: the most that a point near it needs."""
-        axes = [np.unique(np.linspace(*ends, N_SCANNED)).tolist() for ends in self.ranges.values()]
-        grid = list(product(*axes))
-        random = np.random.default_rng(0)
-        if len(grid) > MOST_SCANNED:
-            grid = [grid[k] for k in random.choice(len(grid), MOST_SCANNED, replace=False)]
-        points = [
-            *self.basis.points,
-            *(self._point(dict(zip(self.ranges, p, strict=True))) for p in grid),
-        ]
+        others = [self._point(values) for values in sampled(self.ranges, N_SCANNED)]
         most: dict[int, Steps] = {}
-        for point in points:
+        for point in (*self.basis.points, *others):
             nearest = self.trained.nearest(self.basis.place(point))
             steps = self.basis.integrator(self.model.at(point)).steps
             if nearest not in most or steps.n_steps > most[nearest].n_steps:
                 most[nearest] = steps
-        leading = self.trained.rates.get(LEADING, self.rates)
-        return [self._matrices(most[k], leading.linear[k]) for k in range(len(leading.linear))]
+        found = []
+        for _, steps in sorted(most.items()):
+            assert isinstance(steps.system, ExponentialModel)
+            matrices, ratio = steps.system.method(steps.n_steps, steps.model.output_times)
+            named = dict(zip(("stages", "links", "ends"), matrices, strict=True))
+            found.append({"linear": steps.system.linear.matrix, **named, **vars(ratio)})
+        return found
 
-    def _matrices(self, steps: Steps, linear: Array) -> Numbers:
-        times = steps.model.output_times
-        assert isinstance(steps.system, ExponentialModel)
-        (stages, links, ends), ratio = steps.system.method(steps.n_steps, times)
-        return {
-            "linear": steps.system.linear.matrix,
-            "stages": stages,
-            "links": links,
-            "ends": ends,
-            "snapshots_per_step": ratio.snapshots_per_step,
-            "steps_per_snapshot": ratio.steps_per_snapshot,
-        }
-
-    def _driving(self, steps: Iterable[Numbers]) -> Numbers | None:
+    def _driving(self, steps: Sequence[Numbers]) -> Numbers | None:
         """Return the amplitude at the half steps of all runs, and between them."""
         if self.first.amplitude is None:
             return None
         times = self.first.output_times
-        halves = [2 * each["steps_per_snapshot"] for each in steps]
-        every = math.lcm(*halves)
+        every = 2 * math.lcm(*[each["steps_per_snapshot"] for each in steps])
         every *= math.ceil(FINEST_DRIVING / every)
         longest = max(each["snapshots_per_step"] for each in steps)
-        n_instants = (times.n_snapshots - 1 + longest) * every + 1
-        instants = times.start_time + times.interval / every * np.arange(n_instants)
+        numbers = np.arange((times.n_snapshots - 1 + longest) * every + 1)
+        instants = times.start_time + times.interval / every * numbers
 
-        def amplitude(values: Mapping[str, float]) -> Array:
-            factors = {n: x for n, x in values.items() if n != VISCOSITY}
-            point = self._point({"reynolds": self.flow_scale / values[VISCOSITY], **factors})
+        def amplitude(viscosity: float, factors: Factors) -> Array:
+            point = self._point({REYNOLDS: self.scale / viscosity, **factors})
             found = amplitude_of(self.case, point)
             assert found is not None
             return found(instants)
 
-        array = self.products.of("the driving over time", amplitude, zero=False)
+        array = self.products.of("the driving over time", amplitude, near=True)
         return {"per_snapshot": every, "amplitude": array}
 
     def _starts(self) -> Numbers:
         """Return the starts of runs, by the nearest training run if they have spin-ups."""
         plan = self.case.plan
-        largest = plan.largest_values
-        scales = np.where(largest > 0.0, largest, 1.0)
-        points = plan.train_points if self.case.time.spin_up > 0.0 else plan.train_points[:1]
+        scales = np.where(plan.largest_values > 0.0, plan.largest_values, 1.0)
+        spun_up = self.case.time.spin_up > 0.0
+        points = plan.train_points if spun_up else plan.train_points[:1]
         found = [self.model.at(point) for point in points]
-        starts = np.stack([(reduced.leading or reduced).start for reduced in found])
-        random = np.random.default_rng(1)
-        if self.case.time.spin_up == 0.0:
-            for _ in range(N_COMPARED):
-                some = {n: random.uniform(*ends) for n, ends in self.ranges.items()}
-                other = self.model.at(self._point(some))
-                _require_fit("the initial state", starts[0], (other.leading or other).start)
+        for values in () if spun_up else sampled(self.ranges, N_COMPARED):
+            other = self.model.at(self._point(values))
+            require_fit("the initial state", found[0].start, other.start)
         return {
             "places": np.array([[*point.as_dict().values()] for point in points]) / scales,
-            "coordinates": starts,
-            "mean": np.array([reduced.mean_density_fluctuation for reduced in found]),
+            "coordinates": np.stack([(each.leading or each).start for each in found]),
+            "mean": np.array([each.mean_density_fluctuation for each in found]),
         }
 
     # Measurements
@@ -341,85 +319,68 @@ class _Export:
         """Return the measurements that are linear in states, and their factors of all terms."""
         outputs = list[Numbers]()
         rows = list[Array]()
-        places = field_measures(self.case)
+        fields = field_measures(self.case)
         n_terms = 2 + self.basis.whole.n_modes
         for name, measure in self.trained.measures.items():
+            position = fields[name].position
             for quantity, terms in measure.quantities.items():
                 about = MEASURABLE[quantity]
                 for index in np.ndindex(terms.shape[:-1]):
-                    at = places[name].position[index[0]].tolist() if about.is_placed else None
-                    several = about.is_placed and len(places[name].position) > 1
-                    place = f"[{index[0]}]" if several else ""
-                    component = index[-1] if about.is_vector else None
-                    outputs.append(_output(name, quantity, component, at, place))
+                    output = _output(name, quantity, index[-1] if about.is_vector else None)
+                    if about.is_placed:
+                        output["at"] = position[index[0]].tolist()
+                        output["name"] += f"[{index[0]}]" * (len(position) > 1)
+                    outputs.append(output)
                     rows.append(np.pad(terms[index], (0, n_terms - terms.shape[-1])))
         return outputs, np.array(rows).reshape(-1, n_terms)
 
-    def _forces(self, outputs: list[Numbers]) -> list[Numbers]:
-        """Return the forces, and append their rows to the outputs."""
-        total = np.hstack((np.eye(3), np.eye(3)))
-        forces = []
+    def _force(self, name: str, force: TrainedForce, outputs: list[Numbers]) -> Numbers:
+        """Return a force, and append its rows to the outputs."""
+        rows = np.hstack((np.eye(3), np.eye(3)))
+        loads: list[tuple[str, int | None]] = [("force", 0), ("force", 1), ("torque", None)]
+        if (factor := self.case.plan.coefficients.get(name)) is not None:
+            rows = np.vstack((rows, factor * rows[:2]))
+            loads += [(COEFFICIENT, 0), (COEFFICIENT, 1)]
+        outputs += [_output(name, quantity, component) for quantity, component in loads]
         driven = self.rates.operators.walls_driven
-        for name, force in self.trained.forces.items():
-            rows = total
-            loads = [("force", 0), ("force", 1), ("torque", None)]
-            if (factor := self.case.plan.coefficients.get(name)) is not None:
-                rows = np.vstack((total, factor * total[:2]))
-                loads += [(COEFFICIENT, 0), (COEFFICIENT, 1)]
-            outputs += [_output(name, quantity, component) for quantity, component in loads]
+        projected = force.projected
 
-            def polynomial(
-                nu: float, factors: Factors, rows: Array = rows, force: Any = force
-            ) -> Polynomial:
-                local = force.projected.at(nu, driven, factors)
-                rates = self._rates(nu, factors)
-                own = _times(rows, local.polynomial)
-                return own.plus(_times(rows @ local.momentum, rates))
+        def polynomial(viscosity: float, factors: Factors) -> Polynomial:
+            local = projected.at(viscosity, driven, factors)
+            rates = self.rates.at(viscosity, factors)[0]
+            return _times(rows, local.polynomial).plus(_times(rows @ local.momentum, rates))
 
-            def uniform(
-                values: Mapping[str, float], rows: Array = rows, force: Any = force
-            ) -> Array:
-                factors = {n: x for n, x in values.items() if n != VISCOSITY}
-                return force.projected.at(values[VISCOSITY], driven, factors).uniform @ rows.T
+        def uniform(viscosity: float, factors: Factors) -> Array:
+            return projected.at(viscosity, driven, factors).uniform @ rows.T
 
-            own = force.projected.own
-            forces.append(
-                {
-                    "measure": name,
-                    "coefficients": self._polynomials(f"the force {name}", polynomial),
-                    "uniform": self.products.of(f"the force {name}", uniform),
-                    "own": None if own is None else rows[:, :3] @ own,
-                    "correction": kriging(force.correction, rows),
-                }
-            )
-        return forces
+        return {
+            "measure": name,
+            "coefficients": self._polynomials(f"the force {name}", polynomial),
+            "uniform": self.products.of(f"the force {name}", uniform),
+            "own": None if projected.own is None else rows[:, :3] @ projected.own,
+            "correction": kriging(force.correction, rows),
+        }
 
     # Estimates
 
-    def _errors(self, outputs: list[Numbers]) -> Numbers | None:
+    def _errors(self, outputs: Sequence[Numbers]) -> Numbers | None:
         """Return the data of error estimates; None without any."""
         errors = self.trained.errors
         if errors is None or errors.fitted is None:
             return None
         fitted = errors.fitted
-        n_snapshots = self.first.output_times.n_snapshots
-        noise = np.full((n_snapshots, len(outputs)), np.nan)
+        noise = np.full((self.first.output_times.n_snapshots, len(outputs)), np.nan)
         shares = np.full(len(outputs), np.nan)
-        known = self.basis.output_errors
-        counts: dict[tuple[str, str], int] = {}
-        for column, output in enumerate(outputs):
-            key = output["measure"], output["quantity"]
-            place = counts.get(key, 0)
-            counts[key] = place + 1
-            if (of := known.get(key[0], {}).get(key[1])) is not None:
-                noise[:, column] = of.noise.reshape(n_snapshots, -1)[:, place]
-                shares[column] = of.share.ravel()[place]
+        names = [(each["measure"], each["quantity"]) for each in outputs]
+        for column, (name, quantity) in enumerate(names):
+            known = self.basis.output_errors.get(name, {}).get(quantity)
+            if known is not None:
+                place = names[:column].count((name, quantity))
+                noise[:, column] = known.noise.reshape(len(noise), -1)[:, place]
+                shares[column] = known.share.ravel()[place]
 
-        def residual(values: Mapping[str, float]) -> Array:
-            factors = {n: x for n, x in values.items() if n != VISCOSITY}
-            powers = errors.factor.at(values[VISCOSITY], factors)[: self.n_powers]
-            width = max(rows.shape[1] for rows in powers)
-            return np.stack([np.pad(rows, ((0, 0), (0, width - rows.shape[1]))) for rows in powers])
+        def residual(viscosity: float, factors: Factors) -> Array:
+            return padded(errors.factor.at(viscosity, factors)[: self.n_powers])
 
         closure = self.rates.closure
         return {
@@ -431,9 +392,7 @@ class _Export:
             "units": errors.units,
             "gram": errors.products.gram,
             "residual": self.products.of("the residual", residual),
-            "closure": None
-            if closure is None
-            else self._polynomials("the closure", lambda nu, factors: closure.at(nu, factors)),
+            "closure": closure and self._polynomials("the closure", closure.at),
             "noise": noise,
             "output_shares": shares,
         }
@@ -441,25 +400,17 @@ class _Export:
 
 def _times(rows: Array, polynomial: Polynomial) -> Polynomial:
     """Return rows (n_rows, n) times a polynomial of n values."""
-    return Polynomial(
-        tuple(tuple(np.tensordot(rows, t, 1) for t in tensors) for tensors in polynomial.powers)
-    )
+    powers = ([np.tensordot(rows, t, 1) for t in tensors] for tensors in polynomial.powers)
+    return Polynomial(tuple(map(tuple, powers)))
 
 
-def _output(
-    name: str,
-    quantity: str,
-    component: int | None = None,
-    at: list[float] | None = None,
-    place: str = "",
-) -> Numbers:
-    column = component_names(quantity)[component or 0]
+def _output(name: str, quantity: str, component: int | None) -> Numbers:
     return {
-        "name": f"{name}_{column}{place}",
+        "name": f"{name}_{component_names(quantity)[component or 0]}",
         "measure": name,
         "quantity": quantity,
         "component": component,
-        "at": at,
+        "at": None,
         "unit": MEASURABLE[quantity].unit,
         "field": field_of(quantity),
     }
