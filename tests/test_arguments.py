@@ -85,6 +85,7 @@ CALLS: dict[str, tuple[str, Call]] = {
             ("sweep", "collect", "flag"), ("fit", "measurements", "path"),
             ("fit", "noise", "array"), ("fit", "name", "text"), ("export", "to", "text"),
             ("export", "into", "path"), ("export", "at", "text"),
+            ("export", "columns", "number"),
         )
     },
     "Study.model name": ("text", lambda o, v: o["s"].model(v, reynolds=150)),

@@ -134,8 +134,8 @@ class Study:
             points with that value; for rom also names of models.
         options : the command's own options: `tolerance` of trade and train; `workers` and
             `scheduler` of sweep and train; `shard` and `collect` of sweep; `budget` and
-            `write_case` of train; `measurements`, `noise` and `name` of fit; `to`, `into` and `at`
-            of export.
+            `write_case` of train; `measurements`, `noise` and `name` of fit; `to`, `into`, `at`
+            and `columns` of export.
         """
         names = [name for name in stages.STAGES if name != "import"]
         name = stage.replace("_", "-")

@@ -2,7 +2,7 @@
 
 The page begins with the main result, followed by predicted and by trained points. It contains the
 tables and figures listed in `contents.yaml`, which `compare` and other commands write, and an
-animation of a reduced run beside the full run.
+animation of a reduced run beside the full run. It links to the exported pages of models.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 import yaml
@@ -25,6 +26,7 @@ from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
 from sphrom.compare.basis_figures import frame_of
 from sphrom.compare.comparison_figures import QUANTITIES, side_by_side
 from sphrom.compare.comparison_tables import RECORDS, Tables
+from sphrom.exchange.export import FOLDER
 from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale, gradient
 from sphrom.plots.tables import format_figure, read_csv
@@ -102,10 +104,18 @@ def run(context: StageContext) -> None:
     )
     answer = find_answer(workspace, tables)
     head = [] if answer is None else [_headline(answer)]
+    head += _links(workspace.out)
     page = render(case.name, lead, list(parts.items()), footer, head).encode()
     path = workspace.out / PAGE
     write_whole(path, page)
     context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
+
+
+def _links(out: Path) -> Iterator[Html]:
+    """Yield links to the exported pages of models."""
+    for path in sorted(out.glob(f"{FOLDER}/model-*.html")):
+        address = quote(path.relative_to(out).as_posix())
+        yield element("p", element("a", f"Run {path.stem} in the browser", href=address))
 
 
 def _headline(answer: Answer) -> Html:

@@ -222,11 +222,18 @@ def shown(trained, browser, tmp_path) -> Callable[..., Any]:
     return show
 
 
+BETWEEN_TWO = {
+    "lid": [{"reynolds": 73.0, "lid": 1.0}],
+    "channel": [{"reynolds": 33.0, "body_force": 0.5}],
+}
+"""Points whose weights of training runs are unique; within a rectangle of runs they are not."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_page_answers_as_rom_does(name, trained, shown) -> None:
     model, browser = trained(name), shown(name)
-    for values in POINTS[name]:
+    for values in (*POINTS[name], *BETWEEN_TWO.get(name, ())):
         found = browser.value(
             f"""(() => {{
                 const found = run(model, {json.dumps(values)}), known = estimated(model, found);
@@ -250,13 +257,15 @@ def test_a_page_answers_as_rom_does(name, trained, shown) -> None:
         estimate = known.estimate
         assert found["outside"] == estimate.extrapolated
         expected = [estimate.velocity_percent, estimate.pressure_percent]
-        assert found["percent"] == pytest.approx(expected, rel=1e-7)
+        unique = len(values) == 1 or values in BETWEEN_TWO[name]
+        assert found["percent"] == pytest.approx(expected, rel=1e-7 if unique else 0.1)
         for index, output in enumerate(numbers["outputs"]):
             expected = column(known.measured, output)
             tolerance = 1e-8 * max(np.abs(expected).max(), 1e-6)
             assert np.abs(np.array(found["outputs"][index]) - expected).max() < tolerance
             expected = column(known.measured_errors, output)
-            np.testing.assert_allclose(found["errors"][index], expected, rtol=1e-6)
+            tolerance = 1e-6 if unique else 0.1
+            np.testing.assert_allclose(found["errors"][index], expected, rtol=tolerance)
         fields = numbers["fields"]
         inside = fields["inside"].astype(bool).ravel()
         axes = (
@@ -284,9 +293,7 @@ def test_the_vorticity_of_a_page_is_that_of_the_flow(shown) -> None:
         "return [...fieldOf([vorticity], stateAt(start))] })()"
     )
     x, y = np.meshgrid(*[(np.arange(24) + 0.5) / 24] * 2)
-    velocity = browser.value(
-        "[u, v].map(part => [...onGrid(part, stateAt(start), nx * ny)])"
-    )
+    velocity = browser.value("[u, v].map(part => [...onGrid(part, stateAt(start), nx * ny)])")
     amplitude = np.abs(velocity).max()
     assert len(found) == x.size == y.size
     # Both velocities are products of a sine and a cosine of 2 pi x and 2 pi y.
@@ -346,8 +353,17 @@ def test_hostile_names_stay_texts(trained, browser, tmp_path, monkeypatch) -> No
         assert any(hostile in text for text in browser.value(texts)), place
     assert browser.value("document.images.length") == 0
     assert browser.value("document.title") == f"{hostile}: fast"
-    assert browser.value("document.querySelector('[role=status]').textContent").startswith("reynolds = ")
+    assert browser.value("document.querySelector('[role=status]').textContent").startswith(
+        "reynolds = "
+    )
     assert (browser.requests, browser.problems) == ([], [])
+
+
+def test_the_documentation_shows_the_present_page() -> None:
+    text = (ROOT / "docs" / "static" / "model-fast-m5.html").read_text()
+    assert len(text) < 200_000
+    for name in ("model.js", "page.js"):
+        assert (ROOT / "sphrom" / "portable" / name).read_text() in text, "export it again"
 
 
 def test_pages_are_small(trained) -> None:

@@ -36,8 +36,11 @@ def browse(page: Path, folder: Path, *arguments: str) -> str:
 def test_report_without_figures(place, sphrom) -> None:
     swept = ("--set", "sweep={name: other, model: full, reynolds: [100]}")
     sphrom("sweep", "tiny.yaml", *swept, "--workers", "1", code=0)
+    (place / "export").mkdir()
+    (place / "export" / "model-fast 1.html").touch()
     sphrom("report", "tiny.yaml", code=0)
     text = (place / "report.html").read_text()
+    assert '<a href="export/model-fast%201.html">Run model-fast 1 in the browser</a>' in text
     assert "full: 1 run, 1 complete" in text
     assert "http" not in text.replace("http-equiv", "")
     assert "No figures were drawn" in text
