@@ -107,19 +107,14 @@ def _header(found: Mapping[str, Any]) -> bytes:
     residual = stacked(residuals)
     driving = found["driving"]
     amplitude = np.zeros((n_products, 4)) if driving is None else driving["amplitude"]
-    own = [
-        np.zeros((n, n_own)) if f["own"] is None else f["own"]
-        for n, f in zip(rows, forces, strict=True)
-    ]
+    own = [np.zeros((n, n_own)) if f["own"] is None else f["own"] for n, f in zip(rows, forces, strict=True)]
     uniform = [force["uniform"] for force in forces]
     pressure = found["pressure"]
     offsets = np.cumsum([n_modes + n_own, *rows]).tolist()
     corrections = [(0, found["correction"])]
     if pressure is not None:
         corrections.append((n_modes, pressure["correction"]))
-    corrections += [
-        (first, force["correction"]) for first, force in zip(offsets[:-1], forces, strict=True)
-    ]
+    corrections += [(first, force["correction"]) for first, force in zip(offsets[:-1], forces, strict=True)]
     entries = [
         (offset + target, c["lengths"][k], c["places"], c["values"][..., k])
         for offset, c in corrections
