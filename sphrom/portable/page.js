@@ -283,6 +283,9 @@ $("time").addEventListener("input", event => { state.time = event.target.valueAs
 $("play").addEventListener("click", () => play(!state.playing));
 state.time = start + interval * Math.round((nSnapshots - 1) / 2);
 solve();
+// A page around this one may give it the height that it needs.
+const tell = () => parent.postMessage({height: document.documentElement.offsetHeight}, "*");
 if (parent !== window) {
-  new ResizeObserver(() => parent.postMessage({height: document.documentElement.offsetHeight}, "*")).observe(document.body);
+  tell();
+  new ResizeObserver(tell).observe(document.body);
 }

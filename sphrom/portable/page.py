@@ -42,7 +42,7 @@ def content(model: Model[Any], n_columns: int | None = None) -> bytes:
     ----------
     n_columns : number of columns of the picture's grid; by default as many as `MOST_BYTES` allow.
 
-    Raises CaseError that names what the page can't represent.
+    Raises CaseError if a page can't represent the model, or has too few columns.
     """
     if n_columns is not None and n_columns < LEAST_COLUMNS:
         raise CaseError(f"--columns: must be {LEAST_COLUMNS} or more; got {n_columns}")
