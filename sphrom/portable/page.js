@@ -286,6 +286,7 @@ solve();
 // A page around this one may give it the height that it needs.
 const tell = () => parent.postMessage({height: document.documentElement.offsetHeight}, "*");
 if (parent !== window) {
+  document.body.classList.add("embedded");
   tell();
   new ResizeObserver(tell).observe(document.body);
 }
