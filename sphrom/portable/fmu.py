@@ -33,7 +33,7 @@ PLATFORMS = {("Linux", "x86_64"): "binaries/linux64/{}.so"}
 """The place of the binary, by system and machine."""
 BLOCK = 100_000
 """References: parameters, the input and its switch, outputs, states and rates, BLOCK each."""
-STEP_SHARE = 0.25
+STEP_SHARE = 0.125
 """Steps in co-simulation, over the largest stable ones around training states."""
 SECONDS = 300
 """Time that compilation may take [s]."""
@@ -107,14 +107,19 @@ def _header(found: Mapping[str, Any]) -> bytes:
     residual = stacked(residuals)
     driving = found["driving"]
     amplitude = np.zeros((n_products, 4)) if driving is None else driving["amplitude"]
-    own = [np.zeros((n, n_own)) if f["own"] is None else f["own"] for n, f in zip(rows, forces, strict=True)]
+    own = [
+        np.zeros((n, n_own)) if f["own"] is None else f["own"]
+        for n, f in zip(rows, forces, strict=True)
+    ]
     uniform = [force["uniform"] for force in forces]
     pressure = found["pressure"]
     offsets = np.cumsum([n_modes + n_own, *rows]).tolist()
     corrections = [(0, found["correction"])]
     if pressure is not None:
         corrections.append((n_modes, pressure["correction"]))
-    corrections += [(first, force["correction"]) for first, force in zip(offsets[:-1], forces, strict=True)]
+    corrections += [
+        (first, force["correction"]) for first, force in zip(offsets[:-1], forces, strict=True)
+    ]
     entries = [
         (offset + target, c["lengths"][k], c["places"], c["values"][..., k])
         for offset, c in corrections

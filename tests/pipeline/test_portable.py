@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ import sphrom as package
 from sphrom.case.loader import parameter_point
 from sphrom.errors import CaseError
 from sphrom.models.points.fast_model import FastModel, FastRun
-from sphrom.portable import page
+from sphrom.portable import fmu, page
 from sphrom.portable.document import content, document
 from sphrom.reduction.reference_model import Integrator
 
@@ -207,6 +209,98 @@ def test_what_the_document_lacks_is_refused_by_name(keys, reason, tmp_path) -> N
     study.run(until="operators")
     with pytest.raises(CaseError, match=reason):
         document(study.model("fast", reynolds=100)._fast)
+
+
+# Units for system simulation
+
+
+@pytest.fixture(scope="module")
+def unit(trained, tmp_path_factory) -> Callable[[str], tuple[Any, Any, str]]:
+    """FMPy, the description of a case's unit, and its folder."""
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    if fmu.binary() is None:
+        pytest.skip("there is no C compiler")
+    from fmpy.validation import validate_fmu
+
+    known: dict[str, tuple[Any, Any, str]] = {}
+
+    def make(name: str) -> tuple[Any, Any, str]:
+        if name not in known:
+            folder = tmp_path_factory.mktemp(f"unit-{name}")
+            (folder / "model.fmu").write_bytes(fmu.content(trained(name)))
+            assert validate_fmu(str(folder / "model.fmu")) == []
+            unpacked = fmpy.extract(str(folder / "model.fmu"), str(folder / "unpacked"))
+            known[name] = fmpy, fmpy.read_model_description(unpacked), unpacked
+        return known[name]
+
+    return make
+
+
+def simulated(unit, kind: str, times: np.ndarray, values: Mapping[str, float], **more: Any) -> Any:
+    """Return the outputs of a unit at times."""
+    fmpy, about, folder = unit
+    if kind == "ModelExchange":
+        more["relative_tolerance"] = 1e-8
+    return fmpy.simulate_fmu(
+        folder,
+        model_description=about,
+        fmi_type=kind,
+        start_time=times[0],
+        stop_time=times[-1],
+        output_interval=times[1] - times[0],
+        start_values=dict(values),
+        output=[each.name for each in about.modelVariables if each.causality == "output"],
+        **more,
+    )
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+@pytest.mark.parametrize("name", CASES)
+def test_units_run_as_rom_does_in_fine_steps(name, kind, trained, unit) -> None:
+    model = trained(name)
+    for values in POINTS[name]:
+        point = parameter_point(model.workspace.case, values)
+        reduced = model.at(point)
+        fine = model.at_point(point).integrator(reduced).with_steps(1 / 16)
+        known = model.run(point, reduced, fine)
+        found = simulated(unit(name), kind, known.time, values)
+        for output in document(model)["outputs"]:
+            expected = column(known.measured, output)
+            size = max(np.abs(column(known.measured, output)).max(), 1e-3)
+            assert np.abs(found[output["name"]] - expected).max() < 1e-4 * size, output["name"]
+        # Residuals accumulate between snapshots, too.
+        velocity = found["error_velocity"][-1]
+        assert velocity == pytest.approx(known.estimate.velocity[-1], rel=0.4)
+        assert (found["outside"] == known.estimate.extrapolated).all()
+
+
+def test_the_driving_is_an_input_whose_errors_are_unknown(trained, unit) -> None:
+    model = trained("channel")
+    values = {"reynolds": 40.0, "body_force": 1.0}
+    run = model.run(parameter_point(model.workspace.case, values))
+    times = np.linspace(0.0, 2.0, 401)
+    table = zip(times, run.reduced.amplitude(times), strict=True)
+    history = np.array([*table], dtype=[("time", float), ("driving", float)])
+    kept = unit("channel")
+    own = simulated(kept, "CoSimulation", run.time, values)
+    given = simulated(kept, "CoSimulation", run.time, {**values, "own_driving": 0.0}, input=history)
+    # Without the correction by training runs, which holds for the case's own history only.
+    size = np.abs(own["drag_force_x"]).max()
+    assert np.abs(given["drag_force_x"] - own["drag_force_x"]).max() < 0.1 * size
+    assert (given["outside"] == 1.0).all()
+    errors = [name for name in given.dtype.names if name.startswith("error_")]
+    assert all((given[name] == -1.0).all() for name in errors)
+    assert all((own[name] >= 0.0).all() for name in errors)
+
+
+def test_units_without_a_compiler_have_sources_alone(trained, monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(fmu, "COMPILER", "no-such-compiler")
+    (tmp_path / "model.fmu").write_bytes(fmu.content(trained("vortex")))
+    with zipfile.ZipFile(tmp_path / "model.fmu") as archive:
+        names = set(archive.namelist())
+        about = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    assert names == {"modelDescription.xml", "sources/fmu.c", "sources/model.h"}
+    assert about.attrib["guid"] == document(trained("vortex"))["digest"]
 
 
 @pytest.fixture
