@@ -408,9 +408,10 @@ class Browser:
 
     @property
     def requests(self) -> list[str]:
-        """The addresses that the page asked for, but for its own."""
+        """The addresses that the page asked for, but for its own and those that are data."""
         sent = (e for e in self.events if e.get("method") == "Network.requestWillBeSent")
-        return [e["params"]["request"]["url"] for e in sent if e["params"]["type"] != "Document"]
+        asked = (e["params"]["request"]["url"] for e in sent if e["params"]["type"] != "Document")
+        return [address for address in asked if not address.startswith("data:")]
 
     @property
     def problems(self) -> list[Any]:
