@@ -105,7 +105,7 @@ def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) ->
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        (("--to", "stl"), 2, "--to: must be one of vtu, csv, model, fmu; got 'stl'"),
+        (("--to", "stl"), 2, "--to: must be one of vtu, csv, model, fmu, page; got 'stl'"),
         (("--at", "0,0"), 2, "--at: needs --to csv"),
         (("--to", "csv", "--at", "1"), 2, "like 0.5,0.5; got '1'"),
         (("--to", "csv", "--at", "nan,0"), 2, "--at: must be two numbers"),
