@@ -194,7 +194,8 @@ function show() {
   showValues();
   if (state.playing) return;
   const asked = model.parameters.map(p => `${p.name} = ${short(state.parameters[p.name], 4)}`).join(", ");
-  const text = `${asked}, t = ${short(state.time)} s: ${state.quantity} from ${short(low)} to ${short(high)} ${unit}.`;
+  const seen = high >= low ? `${state.quantity} from ${short(low)} to ${short(high)} ${unit}` : "no flow";
+  const text = `${asked}, t = ${short(state.time)} s: ${seen}.`;
   canvas.setAttribute("aria-label", text);
   const doubts = outside().map(p => `${p.name} was trained from ${short(p.low, 4)} to ${short(p.high, 4)}`);
   if (!doubts.length && errors && errors.outside) doubts.push("these values are not between trained ones");
