@@ -44,8 +44,8 @@ function derivative(values, axis) {
   });
 }
 
-// Arrays of columns of a field; columns that are zero are missing.
-const [u, v, pressure] = range(3).map(field => {
+// Arrays of columns of a field; columns that are zero are missing. Those of the pressure are mixed.
+const [u, v, mixed] = range(3).map(field => {
   const {modes, scale, field: ofField, column} = model.fields, columns = [];
   ofField.forEach((other, row) => {
     if (other !== field) return;
@@ -54,6 +54,7 @@ const [u, v, pressure] = range(3).map(field => {
   });
   return columns;
 });
+const pressure = rowsOf(model.fields.mix).map(factors => onGrid(mixed, factors, nx * ny));
 const vorticity = v.map((column, i) => {
   const across = derivative(u[i], 1);
   return derivative(column, 0).map((x, k) => x - across[k]);

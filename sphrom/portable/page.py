@@ -33,6 +33,8 @@ LEAST_COLUMNS = 8
 """Least columns of a grid that shows anything."""
 LARGEST = 32767
 """The largest number of 16 bits."""
+ROUNDING = 1e-10
+"""Pressures below this share of the largest one are rounding errors."""
 
 
 def content(model: Model[Any], n_columns: int | None = None) -> bytes:
@@ -72,14 +74,28 @@ def content(model: Model[Any], n_columns: int | None = None) -> bytes:
 def _rounded(modes: Any) -> dict[str, Any]:
     """Return modes (3, n_columns, ny, nx) as rows of whole numbers with a scale each.
 
-    A row has a field and a column; rows that are zero are left out.
+    A row of velocity has a component and a column; columns without velocity are left out. The
+    pressure of a state is a small difference of large contributions, and so would be its rounding
+    errors. Its rows are therefore orthogonal, and `mix` has their factors in each column.
     """
-    largest = np.abs(modes).max(axis=(2, 3)).astype(np.float64)
-    largest[:2] = largest[:2].max(axis=0)  # both components, if there is one
-    field, column = np.nonzero(largest)
-    scale = largest[field, column] / LARGEST
-    rows = np.round(modes[field, column] / scale[:, None, None]).astype(np.int16)
-    return {"modes": rows, "scale": scale, "field": field.tolist(), "column": column.tolist()}
+    moving = np.flatnonzero(modes[:2].any(axis=(0, 2, 3)))
+    component = np.repeat([0, 1], len(moving))
+    column = np.tile(moving, 2)
+    flat = modes.reshape(*modes.shape[:2], -1).astype(np.float64)
+    left, sizes, orthogonal = np.linalg.svd(flat[2], full_matrices=False)
+    kept = sizes > ROUNDING * sizes[0]
+    rows = np.vstack((flat[component, column], orthogonal[kept]))
+    largest = np.abs(rows).max(axis=1)
+    scale = np.where(largest > 0.0, largest, 1.0) / LARGEST
+    whole = np.round(rows / scale[:, None]).astype(np.int16)
+    n_pressure = int(kept.sum())
+    return {
+        "modes": whole.reshape(-1, *modes.shape[2:]),
+        "scale": scale,
+        "field": [*component.tolist(), *[2] * n_pressure],
+        "column": [*column.tolist(), *range(1, 1 + n_pressure)],
+        "mix": (left * sizes)[:, kept],
+    }
 
 
 def _text(name: str) -> str:

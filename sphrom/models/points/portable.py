@@ -185,6 +185,8 @@ class _Export:
         self.rates = self.trained.rates[ALL_MODES]
         if any(rates.memory is not None for rates in self.trained.rates.values()):
             _refuse("it has a closure with a memory length")
+        if self.rates.cycles is not None:
+            _refuse("it settles on limit cycles (calibrated: cycle), which are not affine")
         first = self.basis.points[0]
         self.first = model.at(first)
         self.scale = case.plan.kinematic_viscosity(first) * first.reynolds
@@ -243,7 +245,6 @@ class _Export:
             "linear": linear,
             "forces": forces,
             "errors": self._errors(outputs),
-            "cycles": None,
         }
 
     def _pressure(self) -> Numbers | None:
