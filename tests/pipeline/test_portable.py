@@ -278,15 +278,15 @@ def test_the_driving_is_an_input_whose_errors_are_unknown(trained, unit) -> None
     model = trained("channel")
     values = {"reynolds": 40.0, "body_force": 1.0}
     run = model.run(parameter_point(model.workspace.case, values))
-    times = np.linspace(0.0, 2.0, 401)
+    times = np.linspace(0.0, 2.0, 401)  # an input is constant within a communication step
     table = zip(times, run.reduced.amplitude(times), strict=True)
     history = np.array([*table], dtype=[("time", float), ("driving", float)])
     kept = unit("channel")
-    own = simulated(kept, "ModelExchange", run.time, values)
+    own = simulated(kept, "CoSimulation", times, values)
     switched = {**values, "own_driving": 0.0}
-    given = simulated(kept, "ModelExchange", run.time, switched, input=history)
+    given = simulated(kept, "CoSimulation", times, switched, input=history)
     size = np.abs(own["drag_force_x"]).max()
-    assert np.abs(given["drag_force_x"] - own["drag_force_x"]).max() < 1e-3 * size
+    assert np.abs(given["drag_force_x"] - own["drag_force_x"]).max() < 0.01 * size
     assert (given["outside"] == 1.0).all()
     errors = [name for name in given.dtype.names if name.startswith("error_")]
     assert all((given[name] == -1.0).all() for name in errors)

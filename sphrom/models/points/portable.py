@@ -235,9 +235,7 @@ class _Export:
             "driving": self._driving(steps),
             "starts": self._starts(),
             "runs": {"places": self.trained.places, "steps": steps},
-            "dynamics": self._polynomials(
-                "the system of equations", lambda *at: leading.at(*at)[0]
-            ),
+            "dynamics": self._polynomials("the system of equations", rates),
             "largest_norm": (self.first.leading or self.first).output_times.largest_norm,
             "correction": kriging(self.trained.correction, np.eye(n_modes)),
             "pressure": self._pressure(),
