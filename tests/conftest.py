@@ -42,12 +42,6 @@ LONGEST_FILES = (
     "pipeline/test_sweep.py",
     "pipeline/test_train.py",
     "pipeline/test_surfaces.py",
-    "pipeline/test_sweep_cluster.py",
-    "pipeline/test_measures.py",
-    "pipeline/test_trade.py",
-    "test_notebook.py",
-    "verification/test_faithful_road.py",
-    "pipeline/test_study.py",
 )
 """Those that take longest, which `make test` and `make test-all` begin with."""
 
