@@ -458,7 +458,7 @@ def printed() -> Callable[..., str]:
     def run(code: str, *arguments: object, **variables: str) -> str:
         done = subprocess.run(
             [sys.executable, "-c", code, *map(str, arguments)], env={**os.environ, **variables},
-            capture_output=True, text=True, check=True, timeout=120,
+            capture_output=True, text=True, check=True, timeout=600,
         )  # fmt: skip
         return done.stdout
 
