@@ -64,14 +64,6 @@ def line_of(index: int) -> dict[str, Any]:
     }
 
 
-def gradient(colours: str, n_colours: int = 9) -> list[str]:
-    """Return colours of a colour map of matplotlib, from low to high values, for CSS."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
-    return [to_hex(c) for c in colormaps[colours](np.linspace(0.0, 1.0, n_colours))]
-
-
 def styled() -> AbstractContextManager[None]:
     """Apply the style sheet `figures.mplstyle` while a figure is built."""
     import matplotlib

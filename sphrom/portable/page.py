@@ -18,7 +18,7 @@ import numpy as np
 
 from sphrom.errors import CaseError
 from sphrom.models.contract import Model
-from sphrom.plots.panels import SIGNED_MAP, SPEED_MAP, gradient, line_of
+from sphrom.plots.panels import SIGNED_MAP, SPEED_MAP, line_of
 from sphrom.portable import document
 from sphrom.text import visible
 from sphrom.version import __version__
@@ -69,6 +69,14 @@ def content(model: Model[Any], n_columns: int | None = None) -> bytes:
         footer=escape(f"sphrom {__version__}, sphrom export --to page"),
     )
     return page.encode()
+
+
+def gradient(colours: str, n_colours: int = 9) -> list[str]:
+    """Return colours of a colour map of matplotlib, from low to high values, for CSS."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    return [to_hex(c) for c in colormaps[colours](np.linspace(0.0, 1.0, n_colours))]
 
 
 def _rounded(modes: Any) -> dict[str, Any]:

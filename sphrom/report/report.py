@@ -28,8 +28,9 @@ from sphrom.compare.comparison_figures import QUANTITIES, draw_comparison, side_
 from sphrom.compare.comparison_tables import RECORDS, Tables
 from sphrom.exchange.export import FOLDER
 from sphrom.models.stored_run import StoredRun
-from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale, gradient
+from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
 from sphrom.plots.tables import format_figure, read_csv
+from sphrom.portable.page import gradient
 from sphrom.report.page import (
     Html,
     animation,
