@@ -9,9 +9,9 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 312_650, 244
+TOKENS, MODULES = 312_700, 244
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
-TEST_LINES = 29_320
+TEST_LINES = 29_340
 LARGEST_SHARE = 0.16
 """Of a package's tokens in all."""
 LONGEST = 450
