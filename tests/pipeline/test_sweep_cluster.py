@@ -18,7 +18,8 @@ import pytest
 from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.console import SilentReporter
-from sphrom.sweep import workers as sweep_workers
+from sphrom.store import workers as sweep_workers
+from sphrom.store.tasks import Task
 
 pytestmark = [
     pytest.mark.slow,
@@ -138,8 +139,8 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
 
 def test_a_task_that_kills_its_workers_is_given_up(address, client, monkeypatch):
     # A function that ends its process takes the place of the one that does tasks.
-    task = sweep_workers.Task("", "", "", (ParameterPoint(1.0),), 1, False, "")
-    monkeypatch.setattr(sweep_workers, "_attempt_there", lambda do, task: os._exit(9))
+    task = Task("", "", "", (ParameterPoint(1.0),), 1, False, "")
+    monkeypatch.setattr(sweep_workers, "_attempt_there", lambda *_: os._exit(9))
     ((_, (told,)),) = sweep_workers.Workers(1, SilentReporter(), client).done([task], os._exit)
     assert "its process was lost" in told.reason
     client.wait_for_workers(N_WORKERS, timeout=60)
