@@ -65,7 +65,7 @@ class Task:
     @property
     def is_shared(self) -> bool:
         """Whether this process sees the folder of the artifacts."""
-        return not self.token or Path(self.token).exists()
+        return not self.token or os.path.exists(self.token)
 
     def context(self, report: Reporter | None = None) -> StageContext:
         """Return the context of the task; without a reporter it reports nothing."""
@@ -186,20 +186,19 @@ def files_of_case(case: Case) -> Iterator[str]:
     return (n for n in names if not Path(n).is_absolute() and ".." not in Path(n).parts)
 
 
-def files_of(target: Target, *, existing: bool) -> Iterator[Path]:
-    """Yield the files that are needed to make an artifact elsewhere.
+def files_of(workspace: Workspace, target: Target) -> Iterator[Path]:
+    """Yield the existing files with which an artifact is made elsewhere, or continued.
 
-    They are its inputs, or the inputs of missing ones, and checkpoints; with `existing`, also the
-    artifact itself, which a worker may keep or continue.
+    They are the artifact, its checkpoint, its inputs, or the inputs of missing ones, and the
+    starting positions.
     """
-    if existing and target.path.exists():
-        yield target.path
-    yield from (path for path in left(target) if not path.name.startswith("."))
+    paths = {target.path, workspace.packing().path, *left(target)}
     for parent in target.parents.values():
         if parent.path.exists():
-            yield parent.path
+            paths.add(parent.path)
         else:
-            yield from files_of(parent, existing=False)
+            paths.update(files_of(workspace, parent))
+    yield from (path for path in paths if path.is_file() and not path.name.startswith("."))
 
 
 def do_elsewhere(do: Do, task: Task, files: Files) -> Answer:

@@ -344,7 +344,7 @@ def made_by_workers(
         return context, []
 
     def needs(task: Task) -> Iterator[Path]:
-        yield from files_of(missing[task.points[0], task.model], existing=not again)
+        return files_of(workspace, missing[task.points[0], task.model])
 
     with start_workers(min(number, len(missing)), context.scheduler, context.report) as workers:
         tasks = (((point,), model) for point, model in missing)

@@ -179,7 +179,7 @@ def _needs(workspace: Workspace, task: Task) -> Iterable[Path]:
         return (parent.path for parent in workspace.sweep().parents.values())
     (point,) = task.points
     target = workspace.full_run(point) if model is None else workspace.reduced_run(model, point)
-    return files_of(target, existing=True)
+    return files_of(workspace, target)
 
 
 def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:
