@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -237,12 +236,9 @@ def _artifacts(folder: Path) -> dict[Path, int]:
 
 def _scratch() -> Path:
     """Return the folder for temporary files, beside those of a Dask worker."""
-    try:
-        from distributed import get_worker
+    from distributed import get_worker
 
-        return Path(get_worker().local_directory).parent
-    except (ImportError, ValueError):
-        return Path(tempfile.gettempdir())
+    return Path(get_worker().local_directory).parent
 
 
 def _share_of_cores() -> int:

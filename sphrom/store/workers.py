@@ -327,7 +327,7 @@ def made_by_workers(
 
     Runs that nobody may start, such as stopped ones without `resume`, are left to the stage.
 
-    Returns the context in which the stage keeps what they have made, and the failures of runs that
+    Returns the context in which the stage keeps these artifacts, and the failures of runs that
     became unstable without an artifact. Raises SphromError when runs fail for other reasons.
     """
     context = workspace.context
