@@ -135,7 +135,7 @@ def make_full_runs(variant: Variant, points: Sequence[ParameterPoint]) -> dict[P
     number = context.workers or runs_that_fit(variant.case, "fom")
     problems = fom.run_each(replace(context, workers=number), points)
     stable = tuple(point for point in points if point not in problems)
-    map_runs(replace(context, only=stable))
+    map_runs(replace(context, only=stable, workers=None, scheduler=None))
     return problems
 
 
