@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 308_100, 241
+TOKENS, MODULES = 308_250, 241
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
 TEST_LINES = 29_270
 LARGEST_SHARE = 0.16
