@@ -327,6 +327,15 @@ class CustomScene(SceneSection):
             if name in self.walls or any(part.degree_in([name]) > 0.0 for part in fields)
         )
 
+    def scheduling(self, names: Collection[str]) -> tuple[str, ...]:
+        knots = self.at().histories.values()
+        driving = self.driving(names)
+        return tuple(
+            name
+            for name in names
+            if name not in driving and any(history.degree_in([name]) > 0.0 for history in knots)
+        )
+
     @property
     def amplitudes(self) -> Mapping[str, str]:
         return self.at().amplitudes
