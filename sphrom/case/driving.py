@@ -17,7 +17,7 @@ from sphrom.arrays import Array
 from sphrom.case.custom_sections import SurfaceForce, ramp_share
 from sphrom.case.fields import LARGEST
 from sphrom.metrics.series import shortest_period
-from sphrom.scenes.expressions import Expression
+from sphrom.scenes.expressions import Expression, Function
 from sphrom.scenes.flows import Amplitude, BodyForce
 from sphrom.scenes.histories import History
 from sphrom.sph.places import N_SAMPLES, Places
@@ -86,7 +86,7 @@ class Driving:
     def expression(self, key: str, value: float | str, *variables: str) -> Expression:
         """Return the expression of a key. Raises ValueError, with the key."""
         text = value if isinstance(value, str) else repr(value)
-        called = {**self.histories, **self.scene.called}
+        called: dict[str, History | Function] = {**self.histories, **self.scene.called}
         try:
             expression = Expression(text, variables, self.constants, called)
             # Except a force beside a surface, expressions in t are split into factors.

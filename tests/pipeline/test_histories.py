@@ -129,7 +129,7 @@ def scheduled(tmp_path_factory: pytest.TempPathFactory) -> sphrom.Model:
 
 
 def test_two_schedules_train_a_model_for_others(scheduled: sphrom.Model) -> None:
-    """The equations are affine in the amplitude. Measured: MEASURED of 0.11 m2/s."""
+    """The equations are affine in the amplitude. Measured: 0.3 % off."""
     wanted = {"a": 0.7, "b": 0.8, "c": -0.2}
     run = scheduled.at(**wanted).run()
     y, u = np.linspace(0.0, 1.0, 51), np.zeros(51)
@@ -138,8 +138,7 @@ def test_two_schedules_train_a_model_for_others(scheduled: sphrom.Model) -> None
     for force in push[1:]:
         u[1:-1] += times[1] * (VISCOSITY * np.diff(u, 2) / y[1] ** 2 + force)
     flux = run.measures.flux_flow_rate.values[-1]
-    print("HERE", flux, np.trapezoid(u, y))
-    assert flux == pytest.approx(np.trapezoid(u, y), rel=0.02)
+    assert flux == pytest.approx(np.trapezoid(u, y), rel=0.01)
 
 
 def test_sensitivities_by_each_knot_are_differences_of_runs(scheduled: sphrom.Model) -> None:
