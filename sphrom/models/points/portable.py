@@ -1,8 +1,8 @@
 """A model from operators as constant arrays, for programs that run it without this package.
 
 All arrays of the equations are affine in a few products of the parameters, so their values at the
-corners of a box of parameters determine them everywhere. What is not affine in them is refused by
-name. `docs/portable.md` describes the arrays, and how to evaluate them.
+corners of a box of parameters determine them everywhere. Other arrays are refused by name.
+`docs/portable.md` describes the arrays, and how to evaluate them.
 """
 
 from __future__ import annotations
