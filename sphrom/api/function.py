@@ -61,12 +61,14 @@ def outputs_of(case: Case) -> dict[str, Output]:
     """Return the outputs of runs of a case, by name."""
     found = {}
     for name, column in case.scene.columns.items():
-        where = column.quantity, column.component or 0
+        component = column.component or 0
         for ending in ("", *STATISTICS):
             own = f"{name}_{ending}" if ending else name
             for prefix in ("", ERROR):
                 measure = f"{prefix}{column.measure}"
-                found[prefix + own] = Output(measure, *where, ending, column.units)
+                found[prefix + own] = Output(
+                    measure, column.quantity, component, ending, column.units
+                )
     for name, oscillating in case.plan.oscillations.items():
         for figure in OSCILLATION:
             units = oscillating.units_of(figure)
@@ -125,8 +127,8 @@ class Function:
     def __call__(self, x: ArrayLike) -> Array:
         """Return the outputs (n_outputs,) at values (n_inputs,).
 
-        At values (n, n_inputs) they are (n, n_outputs). Outputs of unstable runs are NaN, and so are
-        figures of histories without an oscillation.
+        At values (n, n_inputs) they are (n, n_outputs). Outputs of unstable runs are NaN, and
+        so are figures of histories without an oscillation.
         """
         rows = self._rows(x)
         values = np.full((len(rows), len(self.outputs)), np.nan)
