@@ -43,15 +43,18 @@ class Output:
     """One of STATISTICS; empty for the value at one time."""
     units: str
 
-    def of(self, case: Case, time: Array, measured: Measured, instant: float) -> float:
-        """Return the number from measurements (n_snapshots, ...) at times [s]."""
+    def of(self, case: Case, time: Array, measured: Measured, instant: float | None) -> float:
+        """Return the number from measurements (n_snapshots, ...) at times [s].
+
+        A value without an ending is that at an instant [s], by default the last time.
+        """
         values = measured.get(self.measure, {}).get(self.quantity)
         if values is None:  # a run without estimated errors
             return np.nan
         history = values.reshape(len(time), -1)[:, self.component]
-        if not self.ending:
+        if not self.ending and instant is not None:
             return float(at_instants(time, history, np.array([instant]))[0])
-        if self.ending == "last":
+        if self.ending in ("", "last"):
             return float(history[-1])
         counted = case.plan.counted(self.measure.removeprefix(ERROR), time)
         return float(STATISTICS[self.ending](history[counted], axis=0))
@@ -114,10 +117,10 @@ class Function:
         self._outputs = [known[name] for name in outputs]
         self.units = tuple(output.units for output in self._outputs)
         steps = case.plan.model_steps(model.section)
-        self._instant = steps.end_time if instant is None else instant
-        if not steps.start_time <= self._instant <= steps.end_time:
+        self._instant = instant
+        if instant is not None and not steps.start_time <= instant <= steps.end_time:
             span = f"{steps.start_time:g} to {steps.end_time:g} s"
-            raise CaseError(f"time: must be in the runs, from {span}; got {self._instant:g}")
+            raise CaseError(f"time: must be in the runs, from {span}; got {instant:g}")
 
     def __repr__(self) -> str:
         names = ", ".join(self.inputs), ", ".join(self.outputs)

@@ -25,8 +25,8 @@ from sphrom.metrics.measures import FieldMeasure, Quantities, combined, items
 from sphrom.metrics.quantities import MEASURABLE, PLACED
 from sphrom.metrics.series import at_instants
 from sphrom.models.contract import Ability, Model
-from sphrom.models.points.basis_model import quantities_of
 from sphrom.models.points.fast_model import FastModel
+from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.sensitivities import STEP
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots

@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 307_400, 241
+TOKENS, MODULES = 309_350, 243
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
 TEST_LINES = 29_190
 LARGEST_SHARE = 0.16
