@@ -300,7 +300,7 @@ class ReducedMeasure(Record):
         terms = np.concatenate((np.stack((ones, mean), axis=-1), coordinates), axis=-1)
         n_terms = terms.shape[-1]
         return {
-            name: (terms @ q[..., :n_terms].reshape(-1, n_terms).T).reshape(*states, *q.shape[:-1])
+            name: (terms @ q[..., :n_terms].reshape(-1, n_terms).T).reshape(states + q.shape[:-1])
             for name, q in self.quantities.items()
         }
 

@@ -161,8 +161,8 @@ def _contracted_with_each(tensor: Array, states: Array, times: int) -> Array:
     rows = tensor.shape[len(runs) : tensor.ndim - 1]
     if times == 0:
         return tensor[..., None, :]
-    columns = tensor.reshape(*runs, -1, states.shape[-1]).swapaxes(-1, -2)
-    contracted = (states @ columns).reshape(*states.shape[:-1], *rows)
+    columns = tensor.reshape((*runs, -1, states.shape[-1])).swapaxes(-1, -2)
+    contracted = (states @ columns).reshape(states.shape[:-1] + rows)
     for _ in range(times - 1):
         along = states.reshape(*states.shape[:-1], *(1,) * (contracted.ndim - states.ndim), -1)
         contracted = np.einsum("...j,...j->...", contracted, along)

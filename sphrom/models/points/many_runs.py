@@ -101,7 +101,7 @@ def _item(polynomial: Polynomial, k: int) -> Polynomial:
 
 
 def _part(values: Array | None, k: int, n_axes: int) -> Array | None:
-    """Return the values of a run; those that are equal in all runs have fewer axes."""
+    """Return the values of a run; values that are equal in all runs have fewer axes."""
     return values if values is None or values.ndim < n_axes else values[k]
 
 
