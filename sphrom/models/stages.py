@@ -17,6 +17,8 @@ from sphrom.models.contract import Ability, family_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.store.checkpoints import remove_checkpoints
+from sphrom.store.tasks import Task, Told, recorded
+from sphrom.store.workers import made_by_workers
 from sphrom.store.workspace import Target, Workspace
 
 
@@ -24,10 +26,23 @@ def map_runs(context: StageContext) -> None:
     """Stage `map`: map the full runs of the chosen parameter points."""
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only, "map")
-    for point in context.chosen(context.case.plan.points):
-        if workspace.must_make(workspace.mapped(point)):
-            workspace.require(workspace.full_run(point))
-            family_of(context.case).part("map_run")(workspace, point)
+    points = context.chosen(context.case.plan.points)
+    targets = {(point, ""): workspace.mapped(point) for point in points}
+    workspace = Workspace(made_by_workers(workspace, "maps", make_map, targets)[0])
+    for point in points:
+        ensure_mapped(workspace, point)
+
+
+def make_map(task: Task) -> Told:
+    """Map the full run of a task."""
+    return recorded(task, lambda workspace: ensure_mapped(workspace, task.points[0]))
+
+
+def ensure_mapped(workspace: Workspace, point: ParameterPoint) -> None:
+    """Map a full run unless its map is up to date."""
+    if workspace.must_make(workspace.mapped(point)):
+        workspace.require(workspace.full_run(point))
+        family_of(workspace.case).part("map_run")(workspace, point)
 
 
 def make_basis(context: StageContext) -> None:
@@ -98,6 +113,13 @@ def run_models(context: StageContext) -> None:
     runs = [(m, p) for m in context.chosen_models for p in context.chosen(at(m))]
     if not runs:
         context.report.info("no reduced model to run")
+    # Runs from operators take less time than to tell a process of them.
+    targets = {
+        (point, model.name): workspace.reduced_run(model, point)
+        for model, point in runs
+        if not family_of(context.case, model).can(Ability.RUNS_ALONE)
+    }
+    workspace = Workspace(made_by_workers(workspace, "reduced runs", make_run, targets)[0])
     for model, point in runs:
         target = ensure_run(workspace, model, point)
         remove_checkpoints(target)
@@ -107,6 +129,16 @@ def run_models(context: StageContext) -> None:
                 unstable.append(f"{model.name}, {point.label}: {detail}")
     if unstable:
         raise UnstableError("\n".join(unstable))
+
+
+def make_run(task: Task) -> Told:
+    """Make the reduced run of a task."""
+
+    def make(workspace: Workspace) -> None:
+        model = next(model for model in workspace.case.rom if model.name == task.model)
+        remove_checkpoints(ensure_run(workspace, model, task.points[0]))
+
+    return recorded(task, make)
 
 
 def ensure_run(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> Target:

@@ -9,9 +9,9 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 309_350, 243
+TOKENS, MODULES = 311_850, 244
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
-TEST_LINES = 29_190
+TEST_LINES = 29_480
 LARGEST_SHARE = 0.16
 """Of a package's tokens in all."""
 LONGEST = 450
