@@ -12,6 +12,7 @@ from sphrom.artifacts import write_record
 from sphrom.artifacts.records.reduced_models import HistoryTable
 from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
+from sphrom.case.tables import MeasuredSection
 from sphrom.errors import UnstableError
 from sphrom.models.contract import Ability, family_of
 from sphrom.setup.context import StageContext
@@ -82,6 +83,7 @@ def train_models(context: StageContext) -> None:
     workspace = Workspace(context)
     case = context.case
     histories = getattr(case.scene, "histories", {}).items()
+    measured = {name: one for name, one in histories if isinstance(one, MeasuredSection)}
     for section in case.rom:
         family = family_of(case, section)
         target = workspace.model(section)
@@ -92,7 +94,7 @@ def train_models(context: StageContext) -> None:
             "model": section.name,
             "reference_density": case.fluid.reference_density,
             "sound_speed": case.plan.sound_speed,
-            "histories": {name: HistoryTable.of(history) for name, history in histories},
+            "histories": {name: HistoryTable.of(history) for name, history in measured.items()},
         }
         stored = family.part("trained")(workspace, section, common)
         if stored is not None:
