@@ -86,7 +86,7 @@ def run_together(fast: FastModel, name: str, points: Sequence[ParameterPoint]) -
             own = None
             if estimate is not None:
                 own = ErrorEstimate(**{name: each[k] for name, each in vars(estimate).items()})
-            # The run does not compute again what is known.
+            # The run has these already, and does not compute them again.
             vars(run).update(
                 states=whole.states[k],
                 measured=items(whole.measured, k),
