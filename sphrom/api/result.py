@@ -13,7 +13,7 @@ from sphrom.arguments import finite_array
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import Quantities, Samples, since, why_missing
+from sphrom.metrics.measures import Measured, Samples, since, why_missing
 from sphrom.metrics.quantities import AXES, MEASURABLE, PLACED, is_vector
 from sphrom.models.contract import ModelRun
 from sphrom.models.points.error_estimates import ErrorEstimate
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 Variable = tuple[Any, ...]
 """Axes, values and attributes of a variable of xarray."""
-Measured = Mapping[str, Quantities]
-"""Quantities of measurements, by the name of the measurement."""
 
 
 def labelled(dims: str, values: Array, units: str, meaning: str) -> Variable:

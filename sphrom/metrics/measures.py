@@ -13,8 +13,10 @@ equal intervals, so that none is on the edges of a box, or twice on the two side
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +41,8 @@ from sphrom.metrics.series import (
 
 Quantities = Mapping[str, Array]
 """The values of one measurement, by the names in `MEASURABLE`."""
+Measured = Mapping[str, Quantities]
+"""Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 
 TORQUE = 2
 """The row of the torque, after the components of the force."""
@@ -201,8 +205,15 @@ def of_a_run(quantities: Quantities) -> Quantities:
     return {f"final_{name}": values[-1] for name, values in quantities.items()}
 
 
-STATISTICS = ("last", "mean", "fluctuation", "least", "greatest")
-"""Statistics of a time series; the fluctuation is the root mean square about the mean."""
+STATISTICS: Mapping[str, Callable[..., Any]] = {
+    "last": partial(np.take, indices=-1),
+    "mean": np.mean,
+    "fluctuation": np.std,
+    "least": np.min,
+    "greatest": np.max,
+}
+"""Statistics of time series along an axis; the fluctuation is the root mean square about the mean.
+"""
 
 
 def statistics(quantities: Quantities, counted: Mask) -> dict[str, Array]:
@@ -214,10 +225,10 @@ def statistics(quantities: Quantities, counted: Mask) -> dict[str, Array]:
     named: dict[str, Array] = {}
     for quantity, values in quantities.items():
         for name, whole in components(quantity, values).items() if quantity in MEASURABLE else ():
-            named[f"{name}_last"], series = whole[:, -1], whole[:, counted]
+            named[f"{name}_last"] = whole[:, -1]
             if counted.any():
-                each = [series.mean(1), series.std(1), series.min(1), series.max(1)]
-                named |= {f"{name}_{s}": v for s, v in zip(STATISTICS[1:], each, strict=True)}
+                series = whole[:, counted]
+                named |= {f"{name}_{s}": of(series, axis=1) for s, of in STATISTICS.items()}
     return named
 
 

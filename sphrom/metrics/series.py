@@ -68,6 +68,16 @@ def smoothed(values: Array, weights: Array) -> Array:
     return sums / shares.reshape(-1, *(1,) * (values.ndim - 1))
 
 
+def at_instants(time: Array, values: Array, instants: Array) -> Array:
+    """Return values (n_snapshots, ...) at instants (n_instants,) [s], by cubic splines."""
+    if len(time) == len(instants) and np.allclose(time, instants, rtol=0.0, atol=1e-12):
+        return values
+    from scipy.interpolate import make_interp_spline  # importing it takes long
+
+    spline = make_interp_spline(time, values, k=min(3, len(time) - 1))
+    return np.asarray(spline(np.clip(instants, time[0], time[-1])))
+
+
 def kinetic_energy(velocity: Array, mass: Array | float) -> Array:
     """Return sum m |u|^2 / 2 [J per metre of depth] of velocities (..., n_particles, n_dim)."""
     return 0.5 * np.sum(mass * np.sum(velocity**2, axis=-1), axis=-1)

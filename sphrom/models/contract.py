@@ -9,7 +9,7 @@ its models, and `FAMILIES` is the list of all.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property, partial
@@ -23,7 +23,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import Quantities, Samples, shares
+from sphrom.metrics.measures import Measured, Quantities, Samples, shares
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.workspace import Workspace
 
@@ -35,8 +35,6 @@ N_TIMED = 5
 """Number of timed repetitions of a run."""
 SURFACE = "surface"
 """The name of the elevation of a whole surface among measurements."""
-Measured = Mapping[str, Quantities]
-"""Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 BEST, ALONE = "best possible", "each field alone"
 """The rows of a comparison for the nearest states of a basis, and for the nearest fields."""
 At = TypeVar("At")
@@ -244,6 +242,10 @@ class Model(ABC, Generic[At]):
     @abstractmethod
     def run(self, point: ParameterPoint, reduced: At | None = None) -> ModelRun:
         """Run the model at a parameter point; `reduced` may have other output times."""
+
+    def runs(self, points: Sequence[ParameterPoint]) -> Iterator[ModelRun]:
+        """Run the model at many points, one after the other."""
+        return map(self.run, points)
 
     def runner(self, point: ParameterPoint) -> Callable[[], object]:
         """Return a function that makes one run at a parameter point, without preparing it."""

@@ -8,7 +8,8 @@ records of a task are written as one part, which is complete or absent.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -69,6 +70,7 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
     swept = _swept(replace(task, points=()))
     records: list[RunRecord] = []
     failed: list[Failure] = []
+    swept.prepare(task.points)
     for point in task.points:
         require_folder(swept.workspace)
         try:
@@ -105,9 +107,15 @@ class SweptModel:
         self.workspace = workspace
         self._model = sweep_model(workspace.case)
         self._fast = None
+        self._together: Iterator[ModelRun] = iter(())
         if runs_alone(workspace.case):
             assert self._model is not None
             self._fast = model_of(workspace, self._model)
+
+    def prepare(self, points: Sequence[ParameterPoint]) -> None:
+        """Let runs of a model from operators at points, in this order, share their arrays."""
+        if self._fast is not None:
+            self._together = self._fast.runs(points)
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
@@ -115,7 +123,12 @@ class SweptModel:
         Raises SphromError when the run fails.
         """
         if self._fast is not None:
-            return self._of_fast(self._fast.run(point))
+            made = None
+            with suppress(SphromError):  # if one run fails, the others are made one by one
+                made = next(self._together, None)
+            if made is None or made.point != point:
+                made = self._fast.run(point)
+            return self._of_fast(made)
         case = self.workspace.case
         model = self._model
         # Valid runs of the case itself are kept, even with --force.

@@ -119,7 +119,7 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
 
     Runs of one model share the fits to its training runs.
     """
-    model = run.model.at_point(run.point)
+    model = run.on_basis
     trained = model.errors
     fitted = model.fitted_errors(run.point)
     if trained is None or fitted is None:
@@ -127,15 +127,15 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     residual = residual_of(run, run.time, run.coordinates)
     errors = fitted.errors(run.time, residual, run.coordinates)
     sizes = trained.products.sizes(run.states)
-    squares = np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)
-    velocity_percent, pressure_percent = (100.0 * np.sqrt(squares)).tolist()
-    velocity, pressure = (errors * trained.units).T
+    squares = np.mean(errors**2, axis=-2) / np.mean(sizes**2, axis=-2)
+    velocity_percent, pressure_percent = np.moveaxis(100.0 * np.sqrt(squares), -1, 0).tolist()
+    velocity, pressure = np.moveaxis(errors * trained.units, -1, 0)
     return ErrorEstimate(
         velocity=velocity,
         pressure=pressure,
         velocity_percent=velocity_percent,
         pressure_percent=pressure_percent,
-        extrapolated=fitted.extrapolates(len(run.time)),
+        extrapolated=fitted.extrapolates(len(run.time)).tolist(),
         residual=residual,
         errors=errors,
         sizes=sizes,
@@ -173,7 +173,7 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
 
     Empty if the run has no estimates.
     """
-    model = run.model.at_point(run.point)
+    model = run.on_basis
     estimated = run.estimate
     if estimated is None:
         return {}
@@ -186,7 +186,7 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
 
 def residual_of(run: FastRun, times: Array, coordinates: Array) -> Array:
     """Return the norm (n_states,) [/s] of the residual of a run's model at coordinates."""
-    model = run.model.at_point(run.point)
+    model = run.on_basis
     assert model.errors is not None
     return model.residual(model.errors, run.point, run.reduced, times, coordinates)
 

@@ -8,9 +8,10 @@ stage `rom`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +24,7 @@ from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
 from sphrom.metrics.series import TOO_CLOSE, UNDECIDED
 from sphrom.models.contract import Model, ModelRun, TrainedDifferences
-from sphrom.models.points.basis_model import BasisModel, quantities_of
+from sphrom.models.points.basis_model import BasisModel
 from sphrom.models.points.error_estimates import (
     ErrorEstimate,
     Pair,
@@ -31,6 +32,7 @@ from sphrom.models.points.error_estimates import (
     measured_errors,
     measured_sizes,
 )
+from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
 from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts
@@ -137,6 +139,18 @@ class FastModel(Model[ReferenceModel]):
         integrator = integrator or self.at_point(point).integrator(reduced)
         return FastRun(**vars(integrator.run()), model=self, point=point, reduced=reduced)
 
+    def runs(self, points: Sequence[ParameterPoint]) -> Iterator[FastRun]:
+        """Run the model at many points, with the bits of single runs."""
+        from sphrom.models.points.many_runs import MOST, can_run_together, run_together
+
+        for name, group in groupby(points, self.basis_at):
+            some = [*group]
+            if can_run_together(self.on_basis(name)):
+                for k in range(0, len(some), MOST):
+                    yield from run_together(self, name, some[k : k + MOST])
+            else:
+                yield from map(self.run, some)
+
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
         return self.at_point(point).at(point)
@@ -207,6 +221,11 @@ class FastRun(ModelRun):
     reduced: ReferenceModel
     diverged_at: float
     """[s], NaN for a run that went to its end."""
+
+    @property
+    def on_basis(self) -> BasisModel:
+        """The model with the basis of the run."""
+        return self.model.at_point(self.point)
 
     @property
     def failure(self) -> UnstableError | None:

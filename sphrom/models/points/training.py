@@ -19,9 +19,10 @@ from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import COEFFICIENT
-from sphrom.models.points.basis_model import BasisModel, Start, quantities_of
+from sphrom.models.points.basis_model import BasisModel, Start
 from sphrom.models.points.force_training import ForceTraining, report_forces
 from sphrom.models.points.pressures import report_pressure
+from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.stored import (
     calibrated,
     cycle_closure,
