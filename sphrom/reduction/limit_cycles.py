@@ -65,6 +65,8 @@ TRENDS = (-0.25, 0.25)
 """Powers of the viscosity with which the Landau coefficient may change."""
 FARTHEST = 100.0
 """Largest viscosity at which the onset is looked for, over that of the training runs."""
+ROUNDING = 1e-9
+"""Largest error of comparable parameters that weights reproduce."""
 N_HALVINGS = 50
 """Halvings of the interval that contains the onset; the last one is at rounding."""
 DAMPINGS = (0.0, 0.0625, 0.125, 0.25, 0.5, 1.0)
@@ -84,6 +86,12 @@ class LimitCycle:
     def states(self) -> Array:
         """(N_PHASES, n_modes), at equally spaced phases."""
         return around(self.harmonics)
+
+    def at(self, time: Array) -> Array:
+        """Return the states (n_times, n_modes) at times (n_times,) [s]."""
+        return np.asarray(
+            (np.exp(1j * self.frequency * np.outer(time, ORDERS)) @ self.harmonics).real
+        )
 
     @property
     def rates(self) -> Array:
@@ -229,26 +237,59 @@ class CycleClosure:
             *((runs, squares * trend / trend.max()) for trend in trends),
         ]
 
-    def _weights(self, viscosity: float, factors: Factors, runs: Indices | None = None) -> Array:
+    def _places(
+        self, viscosity: float, factors: Factors, runs: Indices | None = None, power: float = 1.0
+    ) -> tuple[Array, Array]:
+        """Return comparable parameters of all training runs, or of some, and of a point.
+
+        The viscosity enters by a power.
+        """
+        highest = self.trained.viscosities.max()
+        sizes = {name: np.abs(x).max() or 1.0 for name, x in self.trained.values.items()}
+
+        def scaled(nu: float, values: Factors) -> list[float]:
+            return [(nu / highest) ** power, *(values[n] / size for n, size in sizes.items())]
+
+        trained = np.array([scaled(nu, values) for nu, values in self.trained.points])
+        return trained if runs is None else trained[runs], np.array(scaled(viscosity, factors))
+
+    def _weights(
+        self,
+        viscosity: float,
+        factors: Factors,
+        runs: Indices | None = None,
+        power: float = 1.0,
+    ) -> Array:
         """Return the weights of all training runs, or of some, in the value at a point.
 
         Beyond their viscosities, the value at the nearest one is continued with the slope of the
         line that fits all runs. The slope at the end of a spline depends on differences of two
         neighbours.
         """
-        highest = self.trained.viscosities.max()
-        sizes = {name: np.abs(x).max() or 1.0 for name, x in self.trained.values.items()}
-
-        def scaled(nu: float, values: Factors) -> list[float]:
-            return [nu / highest, *(values[name] / size for name, size in sizes.items())]
-
-        trained = np.array([scaled(nu, values) for nu, values in self.trained.points])
-        used = trained if runs is None else trained[runs]
-        place = np.array(scaled(viscosity, factors))
+        used, place = self._places(viscosity, factors, runs, power)
         beyond = place[0] - np.clip(place[0], used[:, 0].min(), used[:, 0].max())
         place[0] -= beyond
         slopes = np.linalg.pinv(used - used.mean(axis=0))[0]
         return np.asarray(spline_weights(used, place) + beyond * slopes)
+
+    def distance(self, viscosity: float, factors: Factors, runs: Indices | None = None) -> float:
+        """Return the error of interpolating from all training runs, or some, up to a factor.
+
+        It is the standard deviation at a point of an integrated Wiener process that is known at the
+        runs, whose best estimate is the natural cubic spline (Kimeldorf and Wahba 1970). It is zero
+        if the runs don't determine a linear function.
+        """
+        used, place = self._places(viscosity, factors, runs)
+        weights = self._weights(viscosity, factors, runs)
+        if not np.allclose(weights @ used, place, rtol=0.0, atol=ROUNDING):
+            return 0.0
+        cubes = np.linalg.norm(used[:, None] - np.vstack((used, place)), axis=2) ** 3
+        return math.sqrt(max(0.0, weights @ (cubes[:, :-1] @ weights - 2.0 * cubes[:, -1])))
+
+    def change_of_law(self, viscosity: float, factors: Factors) -> Array:
+        """Return the change of the weights (n_runs,) if figures are interpolated in 1/nu."""
+        inverse = self._weights(viscosity, factors, power=-1.0)
+        return inverse - self._weights(viscosity, factors)
 
     def _square(self, viscosity: float, factors: Factors, estimate: int = 0) -> float:
         """Return r^2 over the largest of the training runs; negative below the onset."""

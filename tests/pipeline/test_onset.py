@@ -39,7 +39,6 @@ CASE: dict[str, Any] = {
     "snapshots": {"every": 40},
     "parameters": {"train": {"reynolds": [80, 100, 120]}, "test": {"reynolds": [40, 110]}},
     "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": "cycle"}],
-    "operators": {"error_estimate": False},
     "compare": {"plots": False, "grid": 8, "line_points": 9},
     "sweep": {"reynolds": [40, 51, 60, 100]},
     "trade": {"measure": "beat", "full_runs": False, "n_modes": [3], "repeats": 1},
