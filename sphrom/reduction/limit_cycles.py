@@ -37,28 +37,24 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset
-from sphrom.metrics.series import SHEDDING, STEADY, UNDECIDED, dominant_frequency
+from sphrom.metrics.series import SHEDDING, STEADY, UNDECIDED
 from sphrom.reduction.correction import spline_weights
+from sphrom.reduction.cycle_fits import (
+    N_PHASES,
+    ORDERS,
+    PHASES,
+    Harmonics,
+    LimitCycle,
+    around,
+    harmonics_of,
+)
 from sphrom.reduction.reduced_measures import PointForce
 from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators
 from sphrom.sph.fluid import NONE, Factors
 
-Harmonics = NDArray[np.complex128]
-"""A_k (1 + N_HARMONICS, n_values)."""
-
-N_HARMONICS = 4
-ORDERS = np.arange(1 + N_HARMONICS)
-N_PHASES = 64
-"""Number of phases of a cycle at which rates are fitted."""
-PHASES = 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES
-PERIODIC = 0.9
-"""Least share of a run's fluctuations that the harmonics have to explain."""
-DECAYS = 0.9
-"""Amplitude in the second half of a record over that in the first, below which it decays."""
 RIDGE = 1e-4
 """Penalty of fits, over the mean square of a direction in which the cycle moves."""
 TRENDS = (-0.25, 0.25)
@@ -71,83 +67,6 @@ N_HALVINGS = 50
 """Halvings of the interval that contains the onset; the last one is at rounding."""
 DAMPINGS = (0.0, 0.0625, 0.125, 0.25, 0.5, 1.0)
 """Candidate damping rates over omega."""
-
-
-@dataclass(frozen=True)
-class LimitCycle:
-    """A periodic state in generalized coordinates."""
-
-    frequency: float
-    """omega [rad/s]."""
-    harmonics: Harmonics
-    """Of the coordinates."""
-
-    @property
-    def states(self) -> Array:
-        """(N_PHASES, n_modes), at equally spaced phases."""
-        return around(self.harmonics)
-
-    def at(self, time: Array) -> Array:
-        """Return the states (n_times, n_modes) at times (n_times,) [s]."""
-        return np.asarray(
-            (np.exp(1j * self.frequency * np.outer(time, ORDERS)) @ self.harmonics).real
-        )
-
-    @property
-    def rates(self) -> Array:
-        """(N_PHASES, n_modes), the time derivatives of the states [1/s]."""
-        return around(1j * self.frequency * ORDERS[:, None] * self.harmonics)
-
-
-def around(harmonics: Harmonics) -> Array:
-    """Return values (N_PHASES, n_values) at equally spaced phases."""
-    return np.asarray((np.exp(1j * np.outer(PHASES, ORDERS)) @ harmonics).real)
-
-
-def harmonics_of(time: Array, values: Array, frequency: float) -> Harmonics:
-    """Return the harmonics of values (n_times, n_values) at a frequency [rad/s]."""
-    turns = frequency * np.outer(time, ORDERS)
-    waves = np.hstack((np.cos(turns), np.sin(turns[:, 1:])))
-    fitted = np.linalg.lstsq(waves, values)[0].astype(np.complex128)
-    fitted[1 : len(ORDERS)] -= 1j * fitted[len(ORDERS) :]
-    return fitted[: len(ORDERS)]
-
-
-def fitted_cycle(time: Array, states: Array) -> LimitCycle:
-    """Return the cycle of a run's coordinates (n_snapshots, n_modes).
-
-    Raises ValueError if the run is too short, not periodic, or its oscillation decays.
-    """
-    from scipy.optimize import minimize_scalar  # few models need it
-
-    moved = states - states.mean(axis=0)
-    leading = moved @ np.linalg.svd(moved, full_matrices=False)[2][0]
-    first = 2.0 * math.pi * dominant_frequency(time, leading)
-
-    def missed(frequency: float) -> float:
-        harmonics = harmonics_of(time, states, frequency)
-        waves = np.exp(1j * frequency * np.outer(time, ORDERS))
-        return float(np.sum((states - (waves @ harmonics).real) ** 2))
-
-    step = 0.1 * math.pi / float(time[-1] - time[0])
-    frequency = float(minimize_scalar(missed, bracket=(first - step, first + step)).x)
-    explained = 1.0 - missed(frequency) / float(np.sum(moved**2))
-    if not explained > PERIODIC:
-        raise ValueError(
-            f"is not periodic: harmonics of {frequency / (2.0 * math.pi):.4g} Hz explain "
-            f"{100.0 * explained:.0f} % of its fluctuations"
-        )
-    middle = len(time) // 2
-    first, last = (
-        float(np.linalg.norm(harmonics_of(time[half], states[half], frequency)[1]))
-        for half in (slice(middle), slice(middle, None))
-    )
-    if last < DECAYS * first:
-        raise ValueError(
-            f"is not periodic: its oscillation decays, by {100.0 * (1.0 - last / first):.0f} % "
-            "from the first half of the record to the second, so the flow may be steady there"
-        )
-    return LimitCycle(frequency, harmonics_of(time, states, frequency))
 
 
 class TrainedCycles(Record):

@@ -6,13 +6,13 @@ e_k in the figure. A model interpolates between all training runs, so its error 
 
     e^2 = e_0^2 + e_n^2 + (s P)^2 + |sum_k (v_k - w_k) q_k|^2,    s^2 = mean_k (e_k / P_k)^2.
 
-e_0 is the error of repeated training runs, and e_n the sampling error of a full run of so many
-periods, from its scatter (root mean squares over the runs). P is the error of an interpolation up
-to a factor (`CycleClosure.distance`), and P_k that of the interpolation without run k. The weights
-w of training runs interpolate in the viscosity, and the weights v in its inverse, because both laws
-are plausible. Two runs determine no s; only the laws count then.
+e_0 is the error of repeated training runs, and e_n the scatter within full runs, which hold few
+periods and may change slowly (root mean squares over the runs). P is the error of an interpolation
+up to a factor (`CycleClosure.distance`), and P_k that of the interpolation without run k. The
+weights w of training runs interpolate in the viscosity, and the weights v in its inverse, because
+both laws are plausible. Two runs determine no s; only the laws count then.
 
-The phase drifts by the error of the frequency, without e_0, over the time of the run.
+The phase drifts by the error of the frequency, without its e_0, over the time of the run.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from sphrom.sph.fluid import Factors
 
 FIGURES = ESTIMATED[:3]
 SCATTERS = ("frequency_scatter", "amplitude_scatter", "amplitude_scatter")
-"""The scatters by which figures have sampling errors; the mean is as noisy as the amplitude."""
+"""Their scatters; that of the mean is taken from the amplitude."""
 WITHOUT = {"amplitude": 0.0} | dict.fromkeys(SCATTERS, 0.0)
 """Figures of a history without an oscillation."""
 
@@ -48,7 +48,7 @@ class OscillationErrors:
     repeated: Array
     """(4,) errors of repeated training runs in FIGURES and in the phase [deg]."""
     sampling: Array
-    """(3,) sampling errors of full runs."""
+    """(3,) scatter within full runs."""
     rates: Array
     """(3,) errors between training runs over the distance from them."""
 
@@ -92,9 +92,7 @@ def oscillation_errors(model: BasisModel) -> dict[str, OscillationErrors]:
             beside = each.of(time, own[each.measure], full[each.measure])
             row = [run.get(figure, math.nan) for run in found for figure in FIGURES]
             row.append(beside.get("phase_error", math.nan))
-            # Averages over two periods are independent.
-            n_averages = 0.5 * row[0] * (time[-1] - time[0])
-            row += [found[0][scatter] / math.sqrt(n_averages) for scatter in SCATTERS]
+            row += [found[0][scatter] for scatter in SCATTERS]
             rows[name].append(row)
     usable = distances[:, 0] > 0.0
     if not usable.any() and (len(every) > 2 or closure.trained.values):

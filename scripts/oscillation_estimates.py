@@ -1,0 +1,93 @@
+"""Estimated errors of oscillations beside true ones, of models of a coarse wake.
+
+The wake is that of `scripts/onset.py`, in full runs of 72 s of which the last 36 s are recorded.
+Models are trained on some of these runs, and predict all of them: their frequency, amplitude and
+mean of the lift and of the transverse velocity 4 diameters behind the cylinder, and the phases at
+the end. A second run takes only the time of the models.
+
+    python scripts/oscillation_estimates.py
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+from onset import CASE, CHANGES
+
+from sphrom.api.study import Study
+from sphrom.compare.measured import oscillation_rows
+from sphrom.metrics.series import ESTIMATED
+from sphrom.models.points.fast_model import FastModel
+from sphrom.store.trajectory import measured_of
+from sphrom.store.workspace import Workspace
+
+VALUES = [60, 70, 80, 90, 100, 110, 120]
+TRAINED = [
+    [80, 120], [60, 120], [60, 100], [70, 110],
+    [60, 80, 120], [80, 100, 120], [60, 90, 120], [70, 90, 110],
+    [60, 80, 100, 120], [60, 70, 110, 120], [60, 80, 90, 100, 110, 120],
+]  # fmt: skip
+"""Reynolds numbers of the training runs of each model."""
+CASE_CHANGES = CHANGES | {
+    "time": {"step": 0.01875, "spin_up": 36.0, "final_time": 72.0},
+    "scene.measure.shedding": {"frequency": {"of": "cylinder_force_y"}},
+    "scene.measure.beat": {"frequency": {"of": "far_velocity_y"}},
+    "parameters": {"train": {"reynolds": VALUES}, "test": {"reynolds": []}},
+    "basis.subsets": {f"b{k}": {"reynolds": values} for k, values in enumerate(TRAINED)},
+    "rom": [
+        {"name": f"m{k}", "basis": f"b{k}", "n_modes": 20}
+        | {"evaluation": "operators", "calibrated": "cycle"}
+        for k in range(len(TRAINED))
+    ],
+}
+
+
+def where(value: float, trained: list[int]) -> str:
+    """Return where a Reynolds number is, relative to those of training runs."""
+    if value in trained:
+        return "trained"
+    return "inside" if trained[0] < value < trained[-1] else "outside"
+
+
+def main() -> None:
+    """Run the models, and print the shares of errors below their estimates."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("runs/oscillation-estimates"))
+    study = Study(CASE, set=CASE_CHANGES, out=parser.parse_args().out)
+    study.run(until="operators")
+    workspace = Workspace(study._context)
+    ratios = defaultdict[tuple[str, str], list[float]](list)
+    for section, trained in zip(study.case.rom, TRAINED, strict=True):
+        model = FastModel(workspace, section)
+        for point in study.case.plan.points:
+            run = model.run(point)
+            with workspace.open(workspace.full_run(point)) as trajectory:
+                full = measured_of(study.case, trajectory)
+            found = oscillation_rows(
+                study.case, run.time, run.measured, full, section.name, point.label,
+                estimates={
+                    name: {figure: np.array(error) for figure, error in each.items()}
+                    for name, each in run.oscillation_errors.items()
+                },
+            )  # fmt: skip
+            for row in found:
+                for figure in ESTIMATED:
+                    error, estimate = (
+                        getattr(row, f"{figure}_{kind}") for kind in ("error", "estimated")
+                    )
+                    place = where(point.reynolds, trained)
+                    ratios[place, figure].append(abs(error) / estimate)
+    print("below the estimate, below twice, below a quarter [%]; error over estimate, 5 to 95 %")
+    for (place, figure), found in ratios.items():
+        values = np.array(found)
+        shares = [100.0 * float(np.mean(values < limit)) for limit in (1.0, 2.0, 0.25)]
+        low, high = np.quantile(values, (0.05, 0.95))
+        words = "".join(f"{share:6.0f}" for share in shares)
+        print(f"{place:8} {figure:10} {len(values):3d} errors {words}   {low:.2g} to {high:.2g}")
+
+
+if __name__ == "__main__":
+    main()
