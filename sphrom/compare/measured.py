@@ -92,7 +92,8 @@ def measured_estimates(case: Case, run: Artifact) -> Measured:
     factors = {n: f for n, f in case.plan.coefficients.items() if estimates[n]}
     found = with_coefficients(estimates, factors)
     for name in case.plan.oscillations:
-        if (path := f"error_estimate/oscillation/{name}") in run:
+        path = f"error_estimate/oscillation/{name}"
+        if f"{path}/mean" in run.attributes:
             figures = vars(read_record(run, OscillationEstimate, path))
             found[name] = {f: np.array(error) for f, error in figures.items() if error is not None}
     return found
