@@ -77,7 +77,7 @@ def client(address):
     from distributed import Client
 
     with Client(address, set_as_default=False) as client:
-        client.wait_for_workers(N_WORKERS, timeout=60)
+        client.wait_for_workers(N_WORKERS, timeout=300)
         yield client
 
 
@@ -124,7 +124,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
         pids = client.run(os.getpid)
         busy = [name for name, tasks in client.processing().items() if tasks]
         os.kill(pids[next(iter(busy or pids))], signal.SIGKILL)
-        _, stderr = process.communicate(timeout=120)
+        _, stderr = process.communicate(timeout=600)
     finally:
         if process.poll() is None:
             process.kill()
@@ -142,7 +142,7 @@ def test_a_task_that_kills_its_workers_is_given_up(address, client, monkeypatch)
     monkeypatch.setattr(sweep_workers, "_attempt_there", lambda do, task: os._exit(9))
     ((_, (told,)),) = sweep_workers.Workers(1, SilentReporter(), client).done([task], os._exit)
     assert "its process was lost" in told.reason
-    client.wait_for_workers(N_WORKERS, timeout=60)
+    client.wait_for_workers(N_WORKERS, timeout=300)
 
 
 @pytest.mark.parametrize("library", [True, False])
