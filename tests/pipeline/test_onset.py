@@ -158,9 +158,10 @@ def test_comparisons_have_no_oscillation_of_a_model_below_the_onset(made: Path, 
     assert below["frequency [Hz]"] == below["amplitude"] == below["amplitude_error [%]"] == ""
     assert beyond["remark"] == ""
     assert float(beyond["frequency_error [%]"]) < 1.0
-    for figure in ("frequency", "amplitude"):
+    # The run starts far from its cycle, as training runs do.
+    for figure, most in (("frequency", 1.0), ("amplitude", 50.0)):
         error, estimate = (float(beyond[f"{figure}_{kind} [%]"]) for kind in ("error", "estimated"))
-        assert error < 2.0 * estimate < 10.0
+        assert error < 2.0 * estimate < most
     assert below["amplitude_estimated [%]"] == ""
     assert "(estimated: " in said
     assert found["full", "reynolds=40"]["remark"] != BELOW_ONSET
