@@ -205,10 +205,10 @@ class CycleClosure:
         cubes = np.linalg.norm(used[:, None] - np.vstack((used, place)), axis=2) ** 3
         return math.sqrt(max(0.0, weights @ (cubes[:, :-1] @ weights - 2.0 * cubes[:, -1])))
 
-    def change_of_law(self, viscosity: float, factors: Factors) -> Array:
-        """Return the change of the weights (n_runs,) if figures are interpolated in 1/nu."""
-        inverse = self._weights(viscosity, factors, power=-1.0)
-        return inverse - self._weights(viscosity, factors)
+    def laws(self, viscosity: float, factors: Factors) -> tuple[Array, Array]:
+        """Return the weights (n_runs,) of figures that are linear in nu, and of those in 1/nu."""
+        weights = self._weights(viscosity, factors)
+        return weights, self._weights(viscosity, factors, power=-1.0)
 
     def _square(self, viscosity: float, factors: Factors, estimate: int = 0) -> float:
         """Return r^2 over the largest of the training runs; negative below the onset."""

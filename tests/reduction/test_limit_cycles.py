@@ -182,8 +182,8 @@ def test_errors_of_oscillations_grow_with_the_distance_from_training_runs() -> N
     known = OscillationErrors(
         closure=closure,
         recorded=figures,
-        repeated=np.array([1e-3, 2e-3, 3e-3, 4.0]),
-        sampling=np.zeros(3),
+        repeated=np.tile([1e-3, 2e-3, 3e-3, 4.0], (3, 1)),
+        scatter=np.zeros((3, 3)),
         rates=np.array([0.0, 0.0, 1.0]),
     )
     at_run, beside, outside = (known.at(1.0 / value, {}, 10.0) for value in (80.0, 90.0, 160.0))

@@ -7,8 +7,8 @@ e_k in the figure. A model interpolates between all training runs, so its error 
     e^2 = e_0^2 + e_n^2 + (s P)^2 + |sum_k (v_k - w_k) q_k|^2,    s^2 = mean_k (e_k / P_k)^2.
 
 e_0 is the error of repeated training runs, and e_n the scatter within full runs, which hold few
-periods and may change slowly (root mean squares over the runs). P is the error of an interpolation
-up to a factor (`CycleClosure.distance`), and P_k that of the interpolation without run k. The
+periods and may change slowly (both interpolated between the runs). P is the error of an
+interpolation up to a factor (`CycleClosure.distance`), and P_k that of one without run k. The
 weights w of training runs interpolate in the viscosity, and the weights v in its inverse, because
 both laws are plausible. Two runs determine no s; only the laws count then.
 
@@ -46,18 +46,23 @@ class OscillationErrors:
     recorded: Array
     """(n_runs, 3) FIGURES of the full runs."""
     repeated: Array
-    """(4,) errors of repeated training runs in FIGURES and in the phase [deg]."""
-    sampling: Array
-    """(3,) scatter within full runs."""
+    """(n_runs, 4) errors of repeated training runs in FIGURES and in the phase [deg]."""
+    scatter: Array
+    """(n_runs, 3) scatter within full runs."""
     rates: Array
     """(3,) errors between training runs over the distance from them."""
 
     def at(self, viscosity: float, factors: Factors, duration: float) -> dict[str, float]:
         """Return the estimated errors of FIGURES, and of the phase after a time [s] in degrees."""
         between = self.rates * self.closure.distance(viscosity, factors)
-        laws = self.closure.change_of_law(viscosity, factors) @ self.recorded
-        grown = np.linalg.norm((between, laws, self.sampling), axis=0)
-        errors = np.hypot(self.repeated, np.append(grown, 360.0 * duration * grown[0]))
+        weights, others = self.closure.laws(viscosity, factors)
+        laws = (others - weights) @ self.recorded
+        repeated, scatter = (
+            np.sqrt(np.clip(weights @ squares, squares.min(axis=0), squares.max(axis=0)))
+            for squares in (self.repeated**2, self.scatter**2)
+        )
+        grown = np.linalg.norm((between, laws, scatter), axis=0)
+        errors = np.hypot(repeated, np.append(grown, 360.0 * duration * grown[0]))
         return dict(zip(ESTIMATED, errors.tolist(), strict=True))
 
 
@@ -92,23 +97,22 @@ def oscillation_errors(model: BasisModel) -> dict[str, OscillationErrors]:
             beside = each.of(time, own[each.measure], full[each.measure])
             row = [run.get(figure, math.nan) for run in found for figure in FIGURES]
             row.append(beside.get("phase_error", math.nan))
-            row += [found[0][scatter] for scatter in SCATTERS]
+            row += [found[0][figure] for figure in SCATTERS]
             rows[name].append(row)
     usable = distances[:, 0] > 0.0
     if not usable.any() and (len(every) > 2 or closure.trained.values):
         return {}
     errors = {}
     for name, figures in rows.items():
-        recorded, own_figures, left_out, phase, noise = np.split(
+        recorded, own_figures, left_out, phase, scatter = np.split(
             np.array(figures), (3, 6, 9, 10), axis=1
         )
         ratios = (left_out - recorded)[usable] / distances[usable]
-        known_errors = np.hstack((own_figures - recorded, phase))
         one = OscillationErrors(
             closure=closure,
             recorded=recorded,
-            repeated=np.sqrt(np.mean(known_errors**2, axis=0)),
-            sampling=np.sqrt(np.mean(noise**2, axis=0)),
+            repeated=np.hstack((own_figures - recorded, phase)),
+            scatter=scatter,
             # Those of cycles that vanish have no frequency.
             rates=np.sqrt(np.ma.masked_invalid(ratios**2).mean(axis=0).filled(0.0)),
         )
