@@ -8,6 +8,7 @@ the end. A second run takes only the time of the models.
     python scripts/oscillation_estimates.py
 
 With `--train`, one model is trained for Re 60 to 120 with three full runs, one of which it chooses.
+With `--two-cylinders`, a wake with two frequencies is run, whose model is refused.
 """
 
 from __future__ import annotations
@@ -54,6 +55,26 @@ TRAINING = {
     "training": {"reynolds": [60, 120], "tolerance": "4%", "budget": 3},
 }
 """Changes of the case for a training."""
+TWO_CYLINDERS = {
+    "scene.box": {"lower": [-4, -4], "upper": [8, 4], "periodic": ["x", "y"]},
+    "scene.inflow.strip": {"from": -4, "to": -1.5},
+    "scene.solids": {
+        "large": {"circle": {"centre": [0, 1.25], "radius": 0.5}},
+        "small": {"circle": {"centre": [0, -1.25], "radius": 0.35}},
+    },
+    "scene.measure": {
+        "large": {"force_on": "large"},
+        "small": {"force_on": "small"},
+        "shedding": {"frequency": {"of": "large_force_y"}},
+        "other": {"frequency": {"of": "small_force_y"}},
+    },
+    "fluid.mach_number": 0.1,
+    "discretization.resolution": 8,
+    "time": {"step": 0.0125, "spin_up": 30.0, "final_time": 75.0},
+    "snapshots.every": 24,
+    "parameters": {"train": {"reynolds": [100]}, "test": {"reynolds": []}},
+}
+"""Changes of the case for two cylinders side by side."""
 
 
 def where(value: float, trained: list[int]) -> str:
@@ -68,7 +89,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("runs/oscillation-estimates"))
     parser.add_argument("--train", action="store_true", help="train a model instead")
+    parser.add_argument("--two-cylinders", action="store_true", help="run a refused wake instead")
     given = parser.parse_args()
+    if given.two_cylinders:
+        Study(CASE, set=TWO_CYLINDERS, out=given.out).run(until="operators")
+        return
     if given.train:
         Study(CASE, set=CASE_CHANGES | TRAINING, out=given.out).run_stage("train")
         return

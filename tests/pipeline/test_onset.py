@@ -100,7 +100,7 @@ def test_a_sweep_marks_what_oscillates(made: Path, sphrom) -> None:
     assert "regimes: 1 run steady, 2 runs shedding, 1 run undecided" in words
     assert found[0]["error_estimate_beat_amplitude [m/s]"] == ""
     errors = [float(row["error_estimate_beat_amplitude [m/s]"]) for row in found[1:]]
-    assert errors[0] > errors[1] > errors[2] > 0.0
+    assert min(errors) > 0.0
     assert float(found[0]["error_estimate_beat_mean [m/s]"]) >= 0.0
     assert float(found[-1]["error_estimate_beat_frequency [Hz]"]) < 0.01
 
