@@ -22,9 +22,10 @@ from sphrom.console import SilentReporter
 from sphrom.errors import ResourceError
 from sphrom.plots.tables import format_figure
 from sphrom.sph.functional import Functional
+from sphrom.store.tasks import Task
+from sphrom.store.workers import Workers
 from sphrom.sweep import sweep as stage
 from sphrom.sweep.batches import SweptModel, make_runs
-from sphrom.sweep.workers import Task, Workers
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True}
 SLOW = {"name": "slow", "n_modes": 2}
