@@ -148,7 +148,7 @@ class TrainingSection(Section):
 
     @property
     def fields(self) -> tuple[int, ...]:
-        """The indices of what is limited: 0 for velocity, 1 for pressure, 2 for oscillations."""
+        """The indices of the limited errors: 0 for velocity, 1 for pressure, 2 for oscillations."""
         return {"pressure": (1,), "both": (0, 1), "oscillation": (2,)}.get(self.quantity, (0,))
 
 
