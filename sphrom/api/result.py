@@ -153,6 +153,10 @@ class Labels:
             if (own := run.estimate) is not None:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
             estimates = {f"{ERROR}{name}": each for name, each in run.measured_errors.items()}
+            estimates |= {
+                f"{ERROR}{name}": {f: np.full(len(time), error) for f, error in each.items()}
+                for name, each in run.oscillation_errors.items()
+            }
             own_values = run.measured | run.oscillations
             for name, quantities in (own_values | estimates).items():
                 stacked = measured.setdefault(name, {})

@@ -34,6 +34,7 @@ from sphrom.metrics.series import (
     BELOW_ONSET,
     NO_OSCILLATION,
     OSCILLATION,
+    PHASE,
     STEADY,
     oscillation,
     oscillation_beside,
@@ -124,6 +125,8 @@ class Oscillating(Column):
 
     def units_of(self, figure: str) -> str:
         """Return the unit of a figure of the oscillation."""
+        if figure == PHASE:
+            return "deg"
         return "Hz" if figure.startswith("frequency") else self.units
 
     def of(self, time: Array, own: Quantities, full: Quantities | None = None) -> dict[str, float]:
@@ -155,7 +158,7 @@ class Oscillations(dict[str, Oscillating]):
 
 def in_regime(regime: str | None, figures: dict[str, float]) -> dict[str, float]:
     """Return the figures of an oscillation in a regime; a steady flow only has a mean."""
-    return {f: v for f, v in figures.items() if regime != STEADY or f == "mean"}
+    return {f: v for f, v in figures.items() if regime != STEADY or f.startswith("mean")}
 
 
 def why_missing(regime: str | None) -> str:

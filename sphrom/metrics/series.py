@@ -21,6 +21,10 @@ FEWEST_SAMPLES = 8
 """Fewest samples in a record with a spectrum."""
 OSCILLATION = ("frequency", "amplitude", "mean", "frequency_scatter", "amplitude_scatter")
 """Figures of an oscillation [Hz for frequencies, else the unit of the signal]."""
+PHASE = "phase"
+"""The phase at the end of a record, beside that of another one [deg]."""
+ESTIMATED = (*OSCILLATION[:3], PHASE)
+"""Figures of an oscillation with estimated errors."""
 PER_PERIOD = 64
 """Samples per period of a demodulated oscillation."""
 MOST_CORRECTIONS, CONVERGED = 30, 1e-13
@@ -189,14 +193,17 @@ def demodulated(
 def oscillation_beside(time: Array, signal: Array, reference: Array) -> dict[str, float]:
     """Return the oscillation of a signal with its errors, if they exist.
 
-    `frequency_error` and `amplitude_error` are relative [%]. `phase_error` is the phase by which
-    the signal leads the reference at the end of the record [deg]; it accumulates over whole turns.
+    `frequency_error` and `amplitude_error` are relative [%], and `mean_error` has the signal's
+    unit. `phase_error` is the phase by which the signal leads the reference at the end of the
+    record [deg]; it accumulates over whole turns.
     """
     figures = oscillation(time, signal)
     expected = oscillation(time, reference)
     for figure in OSCILLATION[:2]:
         if figure in figures and expected.get(figure):
             figures[f"{figure}_error"] = 100.0 * abs(figures[figure] / expected[figure] - 1.0)
+    if "mean" in figures:
+        figures["mean_error"] = abs(figures["mean"] - expected["mean"])
     if "frequency_error" in figures:
         waves = [demodulated(time, x, expected["frequency"])[1] for x in (signal, reference)]
         angles = np.unwrap(np.angle(waves[0] * waves[1].conj()))

@@ -364,6 +364,14 @@ class ModelRun(ABC):
         return {}
 
     @property
+    def oscillation_errors(self) -> Mapping[str, Mapping[str, float]]:
+        """The estimated errors of oscillations, by name and figure, and of the phase at the end.
+
+        Those of oscillations without an estimate are missing.
+        """
+        return {}
+
+    @property
     def measured_sizes(self) -> dict[str, Pair]:
         """Mean squares of these errors, and of the change in the run, by column of a table."""
         return {}

@@ -27,7 +27,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import Quantities, of_a_run
 from sphrom.metrics.quantities import PLACED, components
-from sphrom.metrics.series import REGIMES
+from sphrom.metrics.series import ESTIMATED, REGIMES
 from sphrom.models import fom, stages
 from sphrom.models.contract import Ability, ModelRun, family_of, model_of
 from sphrom.models.stored_run import StoredRun
@@ -50,6 +50,7 @@ OVER_TIME = f"{ERROR}velocity_over_time", f"{ERROR}pressure_over_time"
 INDICES = {"complete_run": "complete", "estimated_run": f"{ERROR}run"}
 """The datasets with the indices of those runs that others have, by their first axis."""
 MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
+OSCILLATION_ERRORS = f"{ERROR}oscillations"
 
 
 @dataclass(frozen=True)
@@ -192,6 +193,10 @@ class SweptModel:
                 found = run.measured_sizes
                 pairs = [found.get(column, (0.0, 0.0)) for column in columns]
                 values |= zip(MEASURED_ERRORS, np.sqrt(pairs).T, strict=True)
+            errors = run.oscillation_errors
+            if errors and errors.keys() == self.workspace.case.plan.oscillations.keys():
+                rows = [[each.get(f, 0.0) for f in ESTIMATED] for each in errors.values()]
+                values[OSCILLATION_ERRORS] = np.array(rows)
         values |= _kept(run.measured)
         derivatives: dict[str, float] = {}
         has_slopes = run.model.family.can(Ability.SENSITIVITIES)

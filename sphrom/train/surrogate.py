@@ -4,7 +4,8 @@ Full runs and maps belong to the case and are kept. Bases, splines and operators
 each set of training points, in a folder of their own, at a small part of the cost of a full run.
 
 Errors are root mean squares over the reference points and the compared times, over those of the
-field [%], for the velocity and for the pressure less its mean.
+field [%], for the velocity and for the pressure less its mean. The third error is the largest of
+the frequencies and amplitudes of measured oscillations, over their values [%].
 """
 
 from __future__ import annotations
@@ -19,8 +20,11 @@ from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, UnstableError
-from sphrom.metrics.measures import since
+from sphrom.metrics.measures import items, since
+from sphrom.metrics.series import OSCILLATION, STEADY
 from sphrom.models import fom
+from sphrom.models.contract import Measured
+from sphrom.models.points.basis_model import quantities_of
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.models.stages import OPERATORS, map_runs
 from sphrom.reduction.trial_basis import (
@@ -32,15 +36,18 @@ from sphrom.reduction.trial_basis import (
 )
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import runs_that_fit
+from sphrom.store.trajectory import measured_of
 from sphrom.store.variants import Variant
 from sphrom.store.workers import start_workers
-from sphrom.train.outcome import FOLDER, HeldOut
+from sphrom.train.outcome import FOLDER, LIMITED, OSCILLATING, HeldOut
 
 MADE_HERE = ("basis", "spline", "b-spline", "operators")
 """Kinds of artifacts that these stages make."""
+FIGURES = OSCILLATION[:2]
+"""Figures of oscillations with relative errors."""
 N_BLOCK_SNAPSHOTS = 16
 """Number of snapshots to read at once."""
-NONE = np.full(2, np.inf)
+NONE = np.full(len(LIMITED), np.inf)
 """The errors of a diverged run, and missing estimates."""
 
 
@@ -74,7 +81,7 @@ class Surrogate:
     def evaluate(self, candidates: Sequence[ParameterPoint]) -> tuple[Array, Array]:
         """Train the model, and return its errors [%].
 
-        They are the estimates (n_candidates, 2) for the model, and the largest errors (2,) of the
+        They are the estimates (n_candidates, 3) for the model, and the largest errors (3,) of the
         best approximations of the training runs.
         """
         self._model = StageModel(self._context, self._section, self.points)
@@ -153,16 +160,25 @@ class StageModel:
         self._fast = FastModel(self.workspace, model)
 
     def estimate(self, point: ParameterPoint) -> Array:
-        """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
+        """Return the estimated errors (3,) of the model at a point, infinite if there are none."""
         if (run := self._run(point)) is None or (estimate := run.estimate) is None:
             return NONE
         late = self._counted(run.time)
-        return _percent(
+        of_fields = _percent(
             np.sum(estimate.errors[late] ** 2, axis=0), np.sum(estimate.sizes[late] ** 2, axis=0)
         )
+        errors = run.oscillation_errors
+        shares = [
+            errors[name][figure] / float(figures[figure][0])
+            for name, figures in run.oscillations.items()
+            for figure in FIGURES
+            if name in errors and figure in errors[name]
+        ]
+        missing = 0.0 if run.regime == STEADY else np.inf
+        return np.append(of_fields, 100.0 * max(shares, default=missing))
 
     def floor(self) -> Array:
-        """Return the largest errors (2,) of the best approximations of the training runs."""
+        """Return the largest errors (3,) of the best approximations of the training runs."""
         floors = [self.compared(point, approximation=True)[1] for point in self._points]
         return np.asarray(np.max(floors, axis=0))
 
@@ -171,13 +187,14 @@ class StageModel:
     ) -> tuple[Array, Array]:
         """Return the errors at a point with a mapped full run, of the model and of its basis.
 
-        The errors (2,) [%] of the model's run are infinite if it diverged. Those of the basis are
+        The errors (3,) [%] of the model's run are infinite if it diverged. Those of the basis are
         of the best approximation; with `approximation`, only these are computed.
         """
         model = self._fast.at_point(point)
         basis = model.basis
         run = None if approximation else self._run(point)
         error, floor, size = np.zeros((3, 2))
+        coordinates = []
         with self.workspace.open(self.workspace.mapped(point)) as mapped:
             counted = np.flatnonzero(self._counted(mapped.read("time")))
             end = counted[-1] + 1
@@ -188,13 +205,37 @@ class StageModel:
                 fields = _fields(basis, density, velocity)
                 size += _squares(basis, fields)
                 mean = mean_density_fluctuation(basis, density)
-                best = reconstruct(basis, project(basis, density, velocity), mean)
+                coordinates.append(project(basis, density, velocity))
+                best = reconstruct(basis, coordinates[-1], mean)
                 floor += _squares(basis, _fields(basis, best[0], best[1]), fields)
                 if run is not None:
                     mean = np.full(len(density), run.reduced.mean_density_fluctuation)
                     state = reconstruct(model.whole, run.states[block], mean)
                     error += _squares(basis, _fields(basis, state[0], state[1]), fields)
-        return NONE if run is None else _percent(error, size), _percent(floor, size)
+        found = NONE if run is None else np.append(_percent(error, size), np.inf)
+        least = np.append(_percent(floor, size), np.inf)
+        if self.workspace.case.training.quantity != OSCILLATING:
+            return found, least
+        with self.workspace.open(self.workspace.full_run(point)) as full:
+            time = full.read("time")
+            recorded = measured_of(self.workspace.case, full)
+        reduced = self._fast.at(point) if run is None else run.reduced
+        nearest = quantities_of(
+            self.workspace.case, reduced, time[counted], np.concatenate(coordinates)
+        )
+        least[-1] = self._oscillation_error(time[counted], nearest, items(recorded, counted))
+        if run is not None:
+            found[-1] = self._oscillation_error(time, run.measured, recorded)
+        return found, least
+
+    def _oscillation_error(self, time: Array, own: Measured, full: Measured) -> float:
+        """Return the largest relative error of frequencies and amplitudes [%]."""
+        errors = [
+            each.of(time, own[each.measure], full[each.measure]).get(f"{figure}_error", np.inf)
+            for each in self.workspace.case.plan.oscillations.values()
+            for figure in FIGURES
+        ]
+        return max(errors, default=np.inf)
 
     def _run(self, point: ParameterPoint) -> FastRun | None:
         """Return the run at a point; None if it diverges or needs too many steps."""

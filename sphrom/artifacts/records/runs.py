@@ -280,6 +280,18 @@ class MeasuredOnce(Record):
         return {**self.arrays, **numbers}
 
 
+_UNIT = "of the measurement"
+
+
+class OscillationEstimate(Record):
+    """The errors of an oscillation over a run; a steady flow has only a mean."""
+
+    frequency: float | None = attribute("Hz", "estimated error of the frequency", default=None)
+    amplitude: float | None = attribute(_UNIT, "estimated error of the amplitude", default=None)
+    mean: float = attribute(_UNIT, "estimated error of the mean")
+    phase: float | None = attribute("deg", "estimated error of the phase at the end", default=None)
+
+
 class ErrorEstimate(Record):
     """The errors of a run, estimated without a full run."""
 
@@ -302,6 +314,7 @@ class ErrorEstimate(Record):
     velocity_factor: float | None = attribute("1", _FACTOR, default=None)
     pressure_factor: float | None = attribute("1", _FACTOR, default=None)
     measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
+    oscillation: Mapping[str, OscillationEstimate] = part(default_factory=dict)
 
 
 class Steady(Record):

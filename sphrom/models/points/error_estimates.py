@@ -17,7 +17,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.runs import ErrorEstimate as StoredEstimate
-from sphrom.artifacts.records.runs import MeasuredOnce
+from sphrom.artifacts.records.runs import MeasuredOnce, OscillationEstimate
 from sphrom.metrics.histories import QUANTITIES
 from sphrom.metrics.measures import ONLY_NOISE, Quantities, mean_squares, variations
 from sphrom.metrics.quantities import COEFFICIENT
@@ -104,6 +104,7 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
             for name, each in errors.items()
             if (counted := run.model.workspace.case.plan.counted(name, run.time)).any()
         },
+        oscillation={n: OscillationEstimate(**e) for n, e in run.oscillation_errors.items()},
     )
     write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
@@ -112,6 +113,11 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         words = {n: ONLY_NOISE if v is None else f"{format_figure(v)} %" for n, v in known.items()}
         listed = ", ".join(f"{name} {share}" for name, share in words.items())
         report.info(f"{run.name}: estimated errors of measurements, over their changes: {listed}")
+    plan = run.model.workspace.case.plan
+    for name, each in run.oscillation_errors.items():
+        units = plan.oscillations[name].units_of
+        listed = ", ".join(f"{f} {format_figure(error)} {units(f)}" for f, error in each.items())
+        report.info(f"{run.name}: estimated errors of {name}: {listed}")
 
 
 def estimate(run: FastRun) -> ErrorEstimate | None:

@@ -21,7 +21,7 @@ from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
-from sphrom.metrics.measures import Quantities, Samples, items
+from sphrom.metrics.measures import Quantities, Samples, in_regime, items
 from sphrom.metrics.series import TOO_CLOSE, UNDECIDED
 from sphrom.models.contract import Model, ModelRun, TrainedDifferences
 from sphrom.models.points.basis_model import BasisModel
@@ -33,6 +33,7 @@ from sphrom.models.points.error_estimates import (
     measured_sizes,
 )
 from sphrom.models.points.quantities import quantities_of
+from sphrom.models.points.oscillation_errors import OscillationErrors, oscillation_errors
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
 from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts
@@ -72,6 +73,7 @@ class FastModel(Model[ReferenceModel]):
         self._stored = stored or stored_model(workspace, section)
         self._on_basis: dict[str, BasisModel] = {}
         self._velocities: dict[str, ModeVelocities] = {}
+        self._oscillation_errors: dict[str, dict[str, OscillationErrors]] = {}
 
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""
@@ -185,6 +187,12 @@ class FastModel(Model[ReferenceModel]):
         viscosity = self.workspace.case.plan.kinematic_viscosity(point)
         return closure.regime(viscosity, point.factors)
 
+    def oscillation_errors(self, point: ParameterPoint) -> dict[str, OscillationErrors]:
+        """Return the errors of oscillations of the basis at a parameter point, by name."""
+        if (name := self.basis_at(point)) not in self._oscillation_errors:
+            self._oscillation_errors[name] = oscillation_errors(self.on_basis(name))
+        return self._oscillation_errors[name]
+
     def measures(
         self, reduced: ReferenceModel, time: Array, coordinates: Array
     ) -> dict[str, Quantities]:
@@ -269,6 +277,16 @@ class FastRun(ModelRun):
     def measured_errors(self) -> Mapping[str, Quantities]:
         """The estimated errors of all measurements (n_snapshots, ...); empty without estimates."""
         return measured_errors(self)
+
+    @cached_property
+    def oscillation_errors(self) -> Mapping[str, Mapping[str, float]]:
+        """The estimated errors of oscillations, and of the phase at the end [deg]."""
+        viscosity = self.model.workspace.case.plan.kinematic_viscosity(self.point)
+        duration = float(self.time[-1] - self.time[0])
+        return {
+            name: in_regime(self.regime, each.at(viscosity, self.point.factors, duration))
+            for name, each in self.model.oscillation_errors(self.point).items()
+        }
 
     @property
     def measured_sizes(self) -> dict[str, Pair]:

@@ -37,9 +37,10 @@ from sphrom.models.points.stored import (
 from sphrom.models.reference.stored import read_basis
 from sphrom.reduction.calibration import Calibration, TrainingRun
 from sphrom.reduction.correction import learn_correction
+from sphrom.reduction.cycle_fits import harmonics_of
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
-from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
+from sphrom.reduction.limit_cycles import CycleClosure
 from sphrom.reduction.own_pressure import (
     JOINT,
     PressureSpace,
