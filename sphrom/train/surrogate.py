@@ -24,8 +24,8 @@ from sphrom.metrics.measures import items, since
 from sphrom.metrics.series import OSCILLATION, STEADY
 from sphrom.models import fom
 from sphrom.models.contract import Measured
-from sphrom.models.points.basis_model import quantities_of
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.points.quantities import quantities_of
 from sphrom.models.stages import OPERATORS, map_runs
 from sphrom.reduction.trial_basis import (
     TrialBasis,

@@ -32,8 +32,8 @@ from sphrom.models.points.error_estimates import (
     measured_errors,
     measured_sizes,
 )
-from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.oscillation_errors import OscillationErrors, oscillation_errors
+from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
 from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts

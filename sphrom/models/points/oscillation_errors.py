@@ -26,7 +26,8 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.metrics.measures import combined, items
 from sphrom.metrics.series import ESTIMATED
-from sphrom.models.points.basis_model import BasisModel, quantities_of
+from sphrom.models.points.basis_model import BasisModel
+from sphrom.models.points.quantities import quantities_of
 from sphrom.reduction.limit_cycles import CycleClosure
 from sphrom.reduction.trained_basis import ALL_MODES
 from sphrom.sph.fluid import Factors
