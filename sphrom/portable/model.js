@@ -4,7 +4,7 @@
 
 const KINDS = {f8: Float64Array, f4: Float32Array, i2: Int16Array, u1: Uint8Array};
 const VISCOSITY = "kinematic viscosity";
-const INSIDE = 1e-6, NEARNESS = 1e-4, ROUNDING = 1e-12;  // as sphrom.reduction.correction
+const INSIDE = 1e-6, NEARNESS = 1e-4, EVENNESS = 1e-6, ROUNDING = 1e-12;  // as sphrom.reduction.correction
 
 // Return a part of a document with decoded arrays {shape, values}.
 function decoded(part) {
@@ -126,7 +126,8 @@ function interpolationWeights(places, place) {
   if (largest === 0 || distances[closest] <= ROUNDING * largest) return [places.map((_, k) => +(k === closest)), 0];
   const offsets = places.map(trained => trained.map((x, i) => (x - place[i]) / largest));
   const rows = [...place.map((_, i) => offsets.map(offset => offset[i])), places.map(() => 1),
-    distances.map(d => NEARNESS * (d / largest) ** 2)];
+    distances.map(d => NEARNESS * (d / largest) ** 2),
+    ...places.map((_, i) => places.map((_, k) => EVENNESS * +(i === k)))];
   const found = nonnegative(rows, rows.map((_, i) => +(i === place.length))), total = sum(found, w => w);
   const weights = found.map(w => w / total);
   const missed = Math.hypot(...place.map((_, i) => sum(weights, (w, k) => w * offsets[k][i])));

@@ -39,6 +39,8 @@ from sphrom.declaration import Labels, Record, dataset, labelled
 
 NEARNESS = 1e-4
 """Weight of the squared distances relative to the error in reproducing the point."""
+EVENNESS = 1e-6
+"""Weight of the weights' norm, which decides where several sets of points are equally near."""
 ROUNDING = 1e-12
 """Two points closer than this share of the largest distance are the same."""
 INSIDE = 1e-6
@@ -96,7 +98,8 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
 
     scaled, squares = offsets / largest, (distances / largest) ** 2
     # Weights are nonnegative, so minimising the square of their weighted sum minimises the sum.
-    rows = np.vstack((scaled.T, np.ones(len(places)), NEARNESS * squares))
+    evenness = EVENNESS * np.eye(len(places))  # the corners of a rectangle are equally near
+    rows = np.vstack((scaled.T, np.ones(len(places)), NEARNESS * squares, evenness))
     target = np.zeros(len(rows))
     target[places.shape[1]] = 1.0
     weights, _ = nnls(rows, target)

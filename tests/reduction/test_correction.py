@@ -138,6 +138,17 @@ def test_of_a_single_point_everything_else_is_outside() -> None:
     assert interpolation_weights(LINE[:1], LINE[1])[1] == pytest.approx(np.log(4.0))
 
 
+def test_corners_that_are_equally_near_share_their_weights() -> None:
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    place = np.array([0.3, 0.4])
+    weights, distance = interpolation_weights(corners, place)
+    assert distance == 0.0
+    # Of all weights that reproduce the place, these have the least norm.
+    np.testing.assert_allclose(weights, [0.4, 0.2, 0.3, 0.1], rtol=1e-6)
+    moved = corners + 1e-13 * np.random.default_rng(0).normal(size=corners.shape)
+    np.testing.assert_allclose(interpolation_weights(moved, place)[0], weights, atol=1e-6)
+
+
 def test_of_several_parameters_they_are_those_of_the_triangle() -> None:
     random = np.random.default_rng(0)
     places = random.random((12, 2))
