@@ -23,14 +23,9 @@ from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, items
 from sphrom.metrics.series import TOO_CLOSE, UNDECIDED
 from sphrom.models.contract import Model, ModelRun, TrainedDifferences
+from sphrom.models.estimates import ErrorEstimate
 from sphrom.models.points.basis_model import BasisModel, quantities_of
-from sphrom.models.points.error_estimates import (
-    ErrorEstimate,
-    Pair,
-    estimate,
-    measured_errors,
-    measured_sizes,
-)
+from sphrom.models.points.error_estimates import estimate, measured_errors
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
 from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts
@@ -250,11 +245,6 @@ class FastRun(ModelRun):
     def measured_errors(self) -> Mapping[str, Quantities]:
         """The estimated errors of all measurements (n_snapshots, ...); empty without estimates."""
         return measured_errors(self)
-
-    @property
-    def measured_sizes(self) -> dict[str, Pair]:
-        """Mean squares of these errors, and of the change in the run, by column of a table."""
-        return measured_sizes(self)
 
     @cached_property
     def outside(self) -> tuple[str, ...]:
