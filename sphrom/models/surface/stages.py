@@ -203,12 +203,13 @@ def _with_errors(
         return SurfaceModel(workspace, section, (reduced, graph)).run(point)
 
     basis = read_surface_basis(workspace)
+    known = {size: trained[size].n_surface for size in sizes}
     with workspace.context.report.progress("runs left out", len(points)) as advance:
         for point in points:
             others = [other for other in points if other != point]
             without = _basis(workspace, others)
             runs = list(_training_runs(workspace, others))
-            models = train(without, runs, sorted(sizes), lambda done: None)
+            models = train(without, runs, sorted(sizes), n_surface=known)
             for size, graph in models.items():
                 repeated[size].append(run(basis, trained[size], point))
                 held_out[size].append(run(without, graph, point))
@@ -217,8 +218,8 @@ def _with_errors(
     for size in sizes:
         both = [errors.run_errors(each[size], full) for each in (repeated, held_out)]
         if both[0] is not None and both[1] is not None:
-            known = SurfaceErrors(repeated=both[0], held_out=both[1])
-            found[size] = replace(trained[size], errors=known)
+            errors_of_runs = SurfaceErrors(repeated=both[0], held_out=both[1])
+            found[size] = replace(trained[size], errors=errors_of_runs)
     return found
 
 
