@@ -95,7 +95,7 @@ def test_errors_between_training_runs_are_near_their_estimates(tank: Path) -> No
         error, estimated = map(float, pairs[key])
         assert 0.25 * estimated < error < 2.0 * estimated, key
     with h5py.File(tank / "rom-fast-reynolds500-ratio0.85.h5") as run:
-        assert run["error_estimate"].attrs["training"] == "inside"
+        assert "inside" in str(run["error_estimate"].attrs["training"])
     (row,) = (r for r in rows(tank / "tables/estimates.csv") if "0.85" in r["parameters"])
     for field in ("velocity", "pressure"):
         error, estimated = (float(row[f"{field}_{name} [%]"]) for name in ("error", "estimate"))
