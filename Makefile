@@ -36,13 +36,16 @@ setup: $(TOOLS) ## make the virtual environment and install, development tools i
 demo: $(INSTALLED) ## the whole pipeline on a coarse Taylor-Green vortex, full against reduced
 	$(BIN)/sphrom run cases/taylor_green_demo.yaml
 
+# Files are handed out in the order of collection, which begins with the longest.
+PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
+
 .PHONY: test
 test: $(TOOLS) ## run the tests, but for the slow ones
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+	$(BIN)/python -m pytest $(PARALLEL) -m "not slow"
 
 .PHONY: test-all
 test-all: $(TOOLS) ## run all tests, with clusters, browsers and every command of the documents
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest $(PARALLEL)
 
 NUMERIC := tests/fit tests/kernels tests/metrics tests/reduction tests/pipeline/test_fit.py
 .PHONY: test-processors
@@ -50,7 +53,7 @@ test-processors: $(TOOLS) ## run fast numeric tests, compiled for two older proc
 	@if [ "$$(uname -m)" = x86_64 ]; then for name in nehalem haswell; do \
 	  NUMBA_CPU_NAME=$$name NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=$$name \
 	    SPHROM_CACHE=build/kernels-$$name \
-	    $(BIN)/python -m pytest -n 2 --dist loadfile $(NUMERIC) || exit $$?; \
+	    $(BIN)/python -m pytest $(PARALLEL) $(NUMERIC) || exit $$?; \
 	done; fi
 
 .PHONY: check

@@ -79,7 +79,8 @@ def pictures() -> Iterator[Picture]:
     demo = CASES / "taylor_green_demo.yaml"
     yield Picture("overview", demo, "plots/overview-reynolds150.png")
     for name, place in GALLERY.items():
-        case, run = CASES / "gallery" / f"{name}.yaml", ("run --force --set compare.grid=120",)
+        case = CASES / "gallery" / f"{name}.yaml"
+        run = ("run --force --set compare.grid=120 --set compare.plots=true",)
         yield Picture(f"gallery-{name}", case, f"plots/overview-{place}.png", run)
         if name == "cylinder":
             yield Picture("gallery-drag", case, f"plots/force-drag-{place}.png", run)

@@ -50,6 +50,9 @@ STAGES = {
 }
 """The module of each stage, with the name of its function unless that is `run`."""
 
+WITH_WORKERS = ("fom", "map", "rom", "trade", "extremes", "sweep", "train")
+"""The stages whose runs other processes may make, by the options `workers` and `scheduler`."""
+
 
 def context_of(
     case: Case, report: Reporter, out: Path | None, force: bool, threads: int | None
@@ -78,6 +81,15 @@ def with_checkpoints(context: StageContext, *, resume: bool, every: float) -> St
     return replace(context, keep_valid=resume, resume=resume, checkpoint_every=every)
 
 
+def with_workers(
+    context: StageContext, workers: int | None = None, scheduler: str | None = None
+) -> StageContext:
+    """Return a context with processes for independent runs. Raises CaseError for both kinds."""
+    if workers is not None and scheduler is not None:
+        raise CaseError("--workers: can't be combined with --scheduler, which has its own workers")
+    return replace(context, workers=workers, scheduler=scheduler)
+
+
 def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
     """Run one stage with its own options `asked`, and return its result.
 
@@ -89,6 +101,10 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
         parameters = signature(run).parameters
         known = [*parameters][1:]
         takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+        if stage in WITH_WORKERS:
+            known += ["workers", "scheduler"]
+            workers = asked.pop("workers", context.workers)
+            context = with_workers(context, workers, asked.pop("scheduler", context.scheduler))
         for option in asked:
             if option not in known and not takes_any:
                 raise CaseError(

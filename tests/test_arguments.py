@@ -70,6 +70,8 @@ CALLS: dict[str, tuple[str, Call]] = {
     "Study.run until": ("text", lambda o, v: o["s"].run(until=v)),
     "Study.run resume": ("flag", lambda o, v: o["s"].run("fom", resume=v)),
     "Study.run checkpoint_every": ("number", lambda o, v: o["s"].run("fom", checkpoint_every=v)),
+    "Study.run workers": ("number", lambda o, v: o["s"].run("fom", workers=v)),
+    "Study.run scheduler": ("text", lambda o, v: o["s"].run("fom", scheduler=v)),
     "Study.run_stage stage": ("text", lambda o, v: o["s"].run_stage(v)),
     "Study.run_stage only": ("text", lambda o, v: o["s"].run_stage("fom", only=v)),
     "Study.run_stage resume": ("flag", lambda o, v: o["s"].run_stage("fom", resume=v)),
@@ -78,6 +80,7 @@ CALLS: dict[str, tuple[str, Call]] = {
     **{
         f"Study.run_stage {stage} {name}": (kind, lambda o, v, s=stage, n=name: _staged(o, v, s, n))
         for stage, name, kind in (
+            ("fom", "workers", "number"), ("fom", "scheduler", "text"),
             ("trade", "tolerance", "text"), ("train", "tolerance", "text"),
             ("train", "budget", "number"), ("train", "workers", "number"),
             ("train", "write_case", "path"), ("sweep", "workers", "number"),

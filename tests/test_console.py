@@ -149,7 +149,7 @@ def test_an_interrupt_removes_the_bar_and_restores_the_cursor():
     )
     reader, terminal = pty.openpty()
     done = subprocess.run(
-        [sys.executable, "-c", code], stdout=terminal, stderr=subprocess.DEVNULL, timeout=60,
+        [sys.executable, "-c", code], stdout=terminal, stderr=subprocess.DEVNULL, timeout=300,
         env={**os.environ, "TERM": "xterm", "NO_COLOR": "1"},
     )  # fmt: skip
     output = os.read(reader, 4096).decode()

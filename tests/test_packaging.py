@@ -38,7 +38,7 @@ def test_folder_of_a_clone_does_not_hide_the_package(tmp_path) -> None:
     (tmp_path / "program.py").write_text("import sphrom; print(sphrom.__version__)")
     for words in (["-m", "sphrom", "--version"], ["program.py"]):
         done = subprocess.run(
-            [sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, timeout=60
+            [sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, timeout=300
         )
         assert done.stdout.split()[-1:] == [sphrom.__version__], done.stderr
 

@@ -98,7 +98,13 @@ class Study:
     @guarded()
     @checked
     def run(
-        self, until: str | None = None, *, resume: bool = False, checkpoint_every: float = 60.0
+        self,
+        until: str | None = None,
+        *,
+        resume: bool = False,
+        checkpoint_every: float = 60.0,
+        workers: int | None = None,
+        scheduler: str | None = None,
     ) -> None:
         """Run all stages that the case needs, keeping valid artifacts, like `sphrom run`.
 
@@ -109,9 +115,11 @@ class Study:
         until : the last stage to run: fom, map, pod, fit-psi, operators, rom, or by default
             compare.
         checkpoint_every : time between checkpoints [s].
+        workers : number of processes that make the runs and maps.
+        scheduler : address of a Dask scheduler, whose workers make them instead.
         """
         context = stages.with_checkpoints(self._context, resume=resume, every=checkpoint_every)
-        stages.run_all(context, until)
+        stages.run_all(stages.with_workers(context, workers, scheduler), until)
 
     @guarded()
     @checked
@@ -132,10 +140,10 @@ class Study:
             report or check.
         only : parameter values to run at, such as `["reynolds=100"]`, or `["lid=0.8"]` for all
             points with that value; for rom also names of models.
-        options : the command's own options: `tolerance` of trade and train; `workers` and
-            `scheduler` of sweep and train; `shard` and `collect` of sweep; `budget` and
-            `write_case` of train; `measurements`, `noise` and `name` of fit; `to`, `into` and `at`
-            of export.
+        options : the command's own options: `workers` and `scheduler` of fom, map, rom, trade,
+            sweep and train; `tolerance` of trade and train; `shard` and `collect` of sweep;
+            `budget` and `write_case` of train; `measurements`, `noise` and `name` of fit; `to`,
+            `into` and `at` of export.
         """
         names = [name for name in stages.STAGES if name != "import"]
         name = stage.replace("_", "-")

@@ -134,7 +134,7 @@ def unknown_times(scene: CustomScene, final_time: float) -> Found:
     times = np.linspace(0.0, final_time, N_CHECKED)
     for key, expression in scene.at().timed():
         for name, time in expression.read():
-            if (problem := scene.histories[name].lacks(time(t=times))) is not None:
+            if (problem := scene.at().histories[name].lacks(time(t=times))) is not None:
                 yield key, f"{name}: {problem}"
                 return
 

@@ -39,8 +39,8 @@ from sphrom.case.points import REYNOLDS
 from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection, Settings
 from sphrom.case.shapes import Shape, ShapeSection
 from sphrom.case.slowing import Slowing
-from sphrom.case.tables import HistorySection, InitialSection
-from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS, Function, History
+from sphrom.case.tables import Histories, InitialSection
+from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS, Function
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
@@ -107,8 +107,8 @@ class CustomScene(SceneSection):
         {}, "moving walls: sides of the box (left, right, bottom, top) and solids, by name"
     )
     constants: dict[SafeName, Coordinate] = key({}, "constants for expressions, by name")
-    histories: dict[SafeName, HistorySection] = key(
-        {}, "measured histories, by name; for one named sway, expressions in t may contain sway(t)"
+    histories: dict[SafeName, Histories] = key(
+        {}, "functions of time, by name; for one named sway, expressions in t may contain sway(t)"
     )
     functions: dict[SafeName, Digest] = key(
         {}, "digests of functions that expressions may call, which only sphrom.Flow gives"
@@ -233,10 +233,9 @@ class CustomScene(SceneSection):
         return self.fluid.fill(self.domain, particle_spacing, self.level_at(values))
 
     @property
-    def called(self) -> dict[str, History | Function]:
-        """Histories and functions that expressions may call, by name."""
-        functions = {name: Function(name, function_of(one)) for name, one in self.functions.items()}
-        return {**self.histories, **functions}
+    def called(self) -> dict[str, Function]:
+        """Functions that expressions may call, by name."""
+        return {name: Function(name, function_of(one)) for name, one in self.functions.items()}
 
     @property
     def added(self) -> dict[str, Term]:
@@ -326,6 +325,15 @@ class CustomScene(SceneSection):
             name
             for name in names
             if name in self.walls or any(part.degree_in([name]) > 0.0 for part in fields)
+        )
+
+    def scheduling(self, names: Collection[str]) -> tuple[str, ...]:
+        knots = self.at().histories.values()
+        driving = self.driving(names)
+        return tuple(
+            name
+            for name in names
+            if name not in driving and any(history.degree_in([name]) > 0.0 for history in knots)
         )
 
     @property

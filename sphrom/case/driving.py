@@ -17,8 +17,9 @@ from sphrom.arrays import Array
 from sphrom.case.custom_sections import SurfaceForce, ramp_share
 from sphrom.case.fields import LARGEST
 from sphrom.metrics.series import shortest_period
-from sphrom.scenes.expressions import Expression
+from sphrom.scenes.expressions import Expression, Function
 from sphrom.scenes.flows import Amplitude, BodyForce
+from sphrom.scenes.histories import History
 from sphrom.sph.places import N_SAMPLES, Places
 
 if TYPE_CHECKING:
@@ -65,15 +66,31 @@ class Driving:
     def __init__(self, scene: CustomScene, values: Mapping[str, float]) -> None:
         self.scene, self.values = scene, values
 
+    @cached_property
+    def constants(self) -> dict[str, float]:
+        """The values of the scene's constants."""
+        usual = self.scene.constants
+        return {name: self.values.get(name, value) for name, value in usual.items()}
+
+    @cached_property
+    def histories(self) -> dict[str, History]:
+        """The histories by name. Raises ValueError, with the key."""
+        found = {}
+        for name, section in self.scene.histories.items():
+            try:
+                found[name] = section.at(self.constants)
+            except ValueError as error:
+                raise ValueError(f"histories.{name}.values: {error}") from error
+        return found
+
     def expression(self, key: str, value: float | str, *variables: str) -> Expression:
         """Return the expression of a key. Raises ValueError, with the key."""
         text = value if isinstance(value, str) else repr(value)
-        scene = self.scene
-        constants = {name: self.values.get(name, usual) for name, usual in scene.constants.items()}
+        called: dict[str, History | Function] = {**self.histories, **self.scene.called}
         try:
-            expression = Expression(text, variables, constants, scene.called)
+            expression = Expression(text, variables, self.constants, called)
             # Except a force beside a surface, expressions in t are split into factors.
-            split = "t" in variables and not (scene.has_surface and key == BODY_FORCE)
+            split = "t" in variables and not (self.scene.has_surface and key == BODY_FORCE)
             for part in expression.separated("t") if split else (expression,):
                 _ = part.compiled
         except ValueError as error:
@@ -278,7 +295,7 @@ class Driving:
     def times(self, until: float, number: int = N_CHECKED) -> Array:
         """Return times of a run [s] with the extreme values of histories, in rising order."""
         times = [np.linspace(0.0, until, number)]
-        for history in self.scene.histories.values():
+        for history in self.histories.values():
             rows = history.rows[:, (history.rows[0] >= 0.0) & (history.rows[0] <= until)]
             times += [rows[0, [np.argmin(rows[1]), np.argmax(rows[1])]]] if rows.size else []
         return np.unique(np.concatenate(times)) if len(times) > 1 else times[0]

@@ -13,6 +13,7 @@ from sphrom.case.model_sections import AUTO
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, outside
 from sphrom.case.studies import Region, sweep_model, sweep_points
+from sphrom.case.tables import MeasuredSection
 from sphrom.case.waves import steeper_than_training
 from sphrom.metrics.series import shortest_period
 from sphrom.sph.fluid import ROUNDING
@@ -134,7 +135,8 @@ def _of_driving(case: Case) -> Iterator[str]:
 def _of_histories(case: Case) -> Iterator[str]:
     plan = case.plan
     histories = getattr(case.scene, "histories", {})
-    for name, history in histories.items():
+    tables = {name: one for name, one in histories.items() if isinstance(one, MeasuredSection)}
+    for name, history in tables.items():
         times = history.rows[0, 1:-1]
         interval = float(np.median(np.diff(times)))
         first, last = times[[0, -1]]

@@ -38,6 +38,17 @@ class PointsPlan:
         return self._scene.driving(self.parameter_names[1:])
 
     @cached_property
+    def _scheduling(self) -> tuple[str, ...]:
+        return self._scene.scheduling(self.parameter_names[1:])
+
+    def fitted_factors(self, point: ParameterPoint) -> dict[str, float]:
+        """Return the values of parameters by name that corrections of rates may depend on.
+
+        Knots of a history only change the amplitude of the driving, which the equations contain.
+        """
+        return {n: v for n, v in point.others if n not in self._scheduling}
+
+    @cached_property
     def own_values(self) -> dict[str, float]:
         """The scene's own values of parameters, with the Reynolds number if training has one."""
         reynolds = self._case.parameters.train.own_reynolds

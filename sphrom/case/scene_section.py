@@ -216,6 +216,10 @@ class SceneSection(Section):
         """Return whether the initial state of runs depends on a parameter of the scene."""
         return False
 
+    def scheduling(self, names: Collection[str]) -> tuple[str, ...]:
+        """Return those of some parameters that change knots of histories and nothing else."""
+        return ()
+
     def reference_profiles(
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:

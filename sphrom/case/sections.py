@@ -302,7 +302,11 @@ class CompareSection(Section):
         50, "grid points along the longer side of the scene's box, for fields", ge=2, le=2_000
     )
     exact: Flag = key(True, "whether to compare with the exact solution, in scenes that have one")
-    plots: Flag = key(True, "whether to draw figures")
+    plots: Flag | None = key(
+        None,
+        "whether to draw figures; null draws the four most telling ones, and `sphrom report` the "
+        "others",
+    )
     from_time: Duration = key(0.0, "time from which errors count", unit="s")
     figures: tuple[FigureSection, ...] = key(
         (), "figures that `sphrom figures` draws, besides those of `sphrom compare`"

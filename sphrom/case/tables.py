@@ -1,29 +1,30 @@
-"""Sections of the scene of kind custom that may read tables: histories and initial fields."""
+"""Histories and initial fields of the scene of kind custom, which may come from tables."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from sphrom.arrays import Array
 from sphrom.case.custom_sections import Value
-from sphrom.case.fields import LARGEST, Coordinate, Section, key
+from sphrom.case.fields import LARGEST, Coordinate, OneOf, Section, key
+from sphrom.case.points import rising
 from sphrom.errors import CaseError
-from sphrom.sph.fluid import ROUNDING
+from sphrom.scenes.expressions import Expression
+from sphrom.scenes.histories import History, beyond_ends
 from sphrom.text import shortened, table_rows, visible
 from sphrom.whole_files import read_whole
 
 MOST_BYTES = 16 * 1024 * 1024
 """Largest size of a table [bytes]."""
-FAR_BEYOND = 0.25
-"""Share of a history's duration beyond which it has no values."""
 COLUMNS = ("x", "y", "u", "v", "p")
 """The columns of a file of points; the last is optional."""
 MOST_POINTS = 200_000
@@ -94,12 +95,28 @@ class TableSection(Section):
 
 
 def remember(rows: Array, sha256: str, time: str | None, value: str | None) -> None:
-    """Keep the rows (2, n_rows + 2) of a `HistorySection` whose file may be missing."""
+    """Keep the rows (2, n_rows + 2) of a `MeasuredSection` whose file may be missing."""
     _TABLES[sha256, time, value] = rows
 
 
-class HistorySection(TableSection):
-    """A measured history: a column of a table over time, linear between rows."""
+class HistorySection(Section):
+    """A history: values over time, and how they change between the times given."""
+
+    if TYPE_CHECKING:  # each section has this key, after its others
+        interpolation: Literal["linear", "cubic"]
+
+    @abstractmethod
+    def at(self, constants: Mapping[str, float]) -> History:
+        """Return the history at values of the scene's constants. Raises ValueError."""
+
+
+INTERPOLATION = key(
+    "linear", "between times: `linear`, or `cubic`, a spline with continuous curvature"
+)
+
+
+class MeasuredSection(TableSection, HistorySection):
+    """A history from a column of a table over time."""
 
     path: ClassVar[str] = "histories"
     chosen: ClassVar[tuple[str, ...]] = ("time", "value")
@@ -109,6 +126,7 @@ class HistorySection(TableSection):
     value: str | None = key(None, "column of the values; null is the other one of two columns")
     scale: Coordinate = key(1.0, "factor of the values, such as 9.81 for accelerations in g")
     sha256: str | None = key(None, "digest of that file; computed if it is missing")
+    interpolation: Literal["linear", "cubic"] = INTERPOLATION
 
     @classmethod
     def parsed(cls, text: str, *chosen: str | None) -> Array:
@@ -128,32 +146,46 @@ class HistorySection(TableSection):
         for late in np.flatnonzero(np.diff(rows[0]) <= 0.0):
             before, after = rows[0, late : late + 2]
             raise ValueError(f"times must increase from row to row; {after:g} follows {before:g}")
-        ends = 2.0 * rows[:, [0, -1]] - rows[:, [1, -2]]
-        return np.concatenate((ends[:, :1], rows, ends[:, 1:]), axis=1)
+        return beyond_ends(rows)
 
     @property
     def rows(self) -> Array:
-        """Times [s] and values (2, n_rows + 2), with a row before the first and after the last.
-
-        The last step of a fast model may end beyond the last snapshot, and its table.
-        """
+        """Times [s] and values (2, n_rows + 2) of the table; see `beyond_ends`."""
         return self.table
 
-    def lacks(self, times: Array, tolerated: float = ROUNDING) -> str | None:
-        """Return a problem if times [s] are beyond the table by a share of its duration."""
-        first, last = self.rows[0, [1, -2]]
-        margin = tolerated * (last - first)
-        for time in (times.min(), times.max()):
-            if not first - margin <= time <= last + margin:
-                name = visible(self.file)
-                return f"{name} has times from {first:g} to {last:g} s, but {time:g} s is needed"
-        return None
+    @cached_property
+    def _history(self) -> History:
+        return History(visible(self.file), self.rows, self.scale, self.interpolation == "cubic")
 
-    def __call__(self, time: Array) -> Array:
-        """Return the values at times [s]. Raises CaseError far beyond the table."""
-        if (problem := self.lacks(time, FAR_BEYOND)) is not None:
-            raise CaseError(f"scene.histories: {problem}")
-        return self.scale * np.interp(time, *self.rows)
+    def at(self, constants: Mapping[str, float]) -> History:
+        return self._history
+
+
+class KnotsSection(HistorySection):
+    """A history through knots, whose values may depend on constants, and so on parameters."""
+
+    times: Annotated[tuple[Coordinate, ...], Field(min_length=2), AfterValidator(rising)] = key(
+        ..., "times of the knots, which increase", unit="s"
+    )
+    values: tuple[Value, ...] = key(
+        ..., "values at these times, numbers or expressions of constants, such as [0, f1, f2]"
+    )
+    interpolation: Literal["linear", "cubic"] = INTERPOLATION
+
+    @model_validator(mode="after")
+    def _of_one_length(self) -> KnotsSection:
+        if len(self.values) != len(self.times):
+            got = f"{len(self.values)} values and {len(self.times)} times"
+            raise ValueError(f"values: must be as many as times; got {got}")
+        return self
+
+    def at(self, constants: Mapping[str, float]) -> History:
+        values = tuple(Expression(str(value), (), constants) for value in self.values)
+        rows = np.array([self.times, [value.fixed for value in values]])
+        return History("it", beyond_ends(rows), 1.0, self.interpolation == "cubic", values)
+
+
+Histories = Annotated[HistorySection, OneOf(file=MeasuredSection, times=KnotsSection)]
 
 
 class InitialSection(TableSection):

@@ -115,6 +115,18 @@ class Options:
             "SECONDS", "Least time between checkpoints; 0 writes one after every step.", min=0.0
         ),
     ] = 60.0
+    workers: Annotated[
+        int | None,
+        option(
+            "N",
+            "Number of parallel processes.  [default: one; for sweep, one per core]",
+            min=1,
+        ),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        option("ADDRESS", "Run on the workers of this Dask scheduler, such as tcp://node1:8786."),
+    ] = None
 
     @property
     def words(self) -> str:
@@ -130,6 +142,8 @@ BY_POINT = ALL[: ALL.index("resume")]
 """The options of stages that may run at selected parameter values."""
 WHOLE = ALL[: ALL.index("only")]
 """The options of stages that always process the whole case."""
+SHARED_OUT = ("workers", "scheduler")
+"""The options of stages whose runs several processes may make."""
 WITHOUT_THREADS = tuple(name for name in WHOLE if name != "threads")
 """The options of stages whose workers have one thread each."""
 
@@ -206,6 +220,7 @@ def run_stage(stage: str, options: Options, **asked: object) -> Any:
         resume = options.resume
         every = options.checkpoint_every
         context = stages.with_checkpoints(context, resume=resume, every=every)
+        context = stages.with_workers(context, options.workers, options.scheduler)
         context = replace(context, words=options.words)
         context = stages.selected(context, stage, options.only or ())
         if stage == "run":

@@ -13,6 +13,7 @@ from sphrom.cli.cases import write_new
 from sphrom.cli.options import (
     ALL,
     BY_POINT,
+    SHARED_OUT,
     WHOLE,
     WITHOUT_THREADS,
     Options,
@@ -27,14 +28,6 @@ from sphrom.errors import CaseError
 from sphrom.exchange.import_options import ImportOptions
 
 stages = typer.Typer()
-Scheduler = Annotated[
-    str | None,
-    option("ADDRESS", "Run on the workers of this Dask scheduler, such as tcp://node1:8786."),
-]
-Workers = Annotated[
-    int | None,
-    option("N", "Number of parallel processes.  [default: all cores; for train, one]", min=1),
-]
 OF_FILES = ("case", "out", "overrides", "force", "quiet", "only")
 """The options of commands that read or write other programs' files."""
 
@@ -54,7 +47,7 @@ def fom(options: Options) -> None:
     """
 
 
-@stage_command(stages, "map", BY_POINT)
+@stage_command(stages, "map", (*BY_POINT, *SHARED_OUT))
 def map_(options: Options) -> None:
     """Map snapshots onto the reference space: map-<parameters>.h5.
 
@@ -149,7 +142,7 @@ def report(options: Options) -> None:
     """
 
 
-@stage_command(stages, "run", (*WHOLE, "resume", "checkpoint_every"))
+@stage_command(stages, "run", (*WHOLE, *ALL[len(BY_POINT) :]))
 def run(options: Options) -> None:
     """Run all stages that a case needs, keeping valid artifacts.
 
@@ -159,7 +152,7 @@ def run(options: Options) -> None:
     """
 
 
-@command(stages, "trade", (*BY_POINT, "checkpoint_every"))
+@command(stages, "trade", (*BY_POINT, "checkpoint_every", *SHARED_OUT))
 def trade(
     options: Options,
     tolerance: Annotated[
@@ -194,11 +187,9 @@ def trade(
         run_stage("trade", options, tolerance=tolerance)
 
 
-@command(stages, "sweep", WITHOUT_THREADS)
+@command(stages, "sweep", (*WITHOUT_THREADS, *SHARED_OUT))
 def sweep(
     options: Options,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
     shard: Annotated[
         str | None, option("I/N", "Run the I-th of N shares only, as one job of a batch queue.")
     ] = None,
@@ -226,7 +217,7 @@ def sweep(
         share = tuple(map(int, match.groups())) if match else (0, 0)
         if not 1 <= share[0] <= share[1]:
             raise CaseError(f"--shard: must be like 1/8, up to 8/8; got {shard!r}")
-    run_stage("sweep", options, workers=workers, scheduler=scheduler, shard=share, collect=collect)
+    run_stage("sweep", options, shard=share, collect=collect)
 
 
 @stage_command(stages, "fit", WITHOUT_THREADS)
@@ -259,13 +250,11 @@ def fit(
     """
 
 
-@stage_command(stages, "train")
+@stage_command(stages, "train", (*WHOLE, *SHARED_OUT))
 def train(
     options: Options,
     tolerance: Annotated[str | None, option("PERCENT", "Allowed error, such as 1%.")] = None,
     budget: Annotated[int | None, option("N", "Largest number of training runs.", min=2)] = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
     write_case: Annotated[
         Path | None,
         option(

@@ -368,7 +368,7 @@ def _relative_errors(
 
 
 def tell_answer(workspace: Workspace, tables: Tables) -> None:
-    """Report the answer and the folders of tables and pictures, at the end of a command."""
+    """Report the answer, and the folders of tables and of pictures, which are drawn afterwards."""
     report = workspace.context.report
     out = workspace.out
     if tables == Tables():
@@ -385,6 +385,7 @@ def tell_answer(workspace: Workspace, tables: Tables) -> None:
     sentences = [*_unphysical(workspace), nothing, *_doubts(workspace)]
     for sentence in sentences if answer is None else answer.sentences():
         report.prose(sentence)
-    pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""
+    drawn = workspace.case.compare.plots is not False
+    pictures = f", pictures in {out / 'plots'}" if drawn else ""
     report.result(f"Tables are in {out / 'tables'}{pictures}.")
     report.result(f"To see all results on one page: sphrom report {workspace.context.words}")

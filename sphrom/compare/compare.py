@@ -44,6 +44,9 @@ from sphrom.store.stored_run import probes_of
 from sphrom.store.trajectory import measured_of, require_complete
 from sphrom.store.workspace import Workspace
 
+FEW = 4
+"""Number of figures that are drawn unless a case asks for all of them."""
+
 
 def run(context: StageContext) -> None:
     """Compare all runs of the case, write artifact, tables and plots, and report the answer.
@@ -74,10 +77,11 @@ def run(context: StageContext) -> None:
             tables.write(workspace)
     else:
         tables, _ = Tables.read(workspace)
-    if case.compare.plots:
-        draw_comparison(workspace, tables, again=is_new)
     show(context.report, tables)
     tell_answer(workspace, tables)
+    if case.compare.plots is not False:
+        most = None if case.compare.plots else FEW
+        draw_comparison(workspace, tables, again=is_new, most=most)
 
 
 def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:

@@ -63,26 +63,35 @@ ERRORS = (
 """The errors to draw, with their labels: a row of velocities and one of pressures."""
 
 
-def draw_comparison(workspace: Workspace, tables: Tables, *, again: bool) -> None:
-    """Draw the figures of a comparison into the folder `plots`, missing ones or all `again`."""
+def draw_comparison(
+    workspace: Workspace, tables: Tables, *, again: bool = False, most: int | None = None
+) -> None:
+    """Draw the missing figures of a comparison into the folder `plots`, or all of them `again`.
+
+    With `most`, these are only so many figures at one point, a predicted one if there is one.
+    """
     folder = workspace.folder("plots")
     with StoredComparison.of(workspace) as stored:
         figures = {folder / f"{name}.png": draw for name, draw in _figures(stored, tables)}
-        for point in workspace.case.plan.points:  # remove figures of earlier comparisons
-            for old in {*folder.glob(f"*-{point.file_label}.png")} - figures.keys():
-                old.unlink()
-        with workspace.context.report.details.progress("pictures", len(figures)) as advance:
-            for path, draw in figures.items():
+        plan = workspace.case.plan
+        for place in (*(point.file_label for point in plan.points), *plan.bases):
+            for old in folder.glob(f"*-{place}.png"):
+                if again or old not in figures:  # a figure of an earlier comparison
+                    old.unlink()
+        chosen = [*figures][:most]
+        with workspace.context.report.details.progress("pictures", len(chosen)) as advance:
+            for path in chosen:
                 if again or not path.exists():
-                    save(draw(), path)
+                    save(figures[path](), path)
                 advance(1)
 
 
 def _figures(stored: StoredComparison, tables: Tables) -> Iterator[tuple[str, Drawn]]:
-    """Yield the names of all figures, with the functions that draw them."""
+    """Yield the names of all figures, the most telling first, with functions that draw them."""
     workspace = stored.workspace
     case = workspace.case
-    for point in case.plan.points:
+    plan = case.plan
+    for point in dict.fromkeys((*plan.test_points, *plan.points)):
         for name, draw in _PointFigures(stored, tables, point).all():
             yield f"{name}-{point.file_label}", draw
     for basis in case.plan.bases if case.rom else ():
@@ -168,15 +177,16 @@ class _PointFigures(RunFigures):
     def all(self) -> Iterator[tuple[str, Drawn]]:
         """Yield the prefixes of the figures that there are, with functions that draw them."""
         if self.complete:
-            yield "fields", self._fields
             yield "overview", self._overview
+        for name, measured in self.case.scene.recorded.items():
+            yield f"{measured.folder}-{name}", partial(self._measured, name)
+        if self.references:
+            yield "profiles", self._profiles
         yield "centrelines", self._centrelines
         if self.errors:
             yield "errors", self._errors
-        if self.references:
-            yield "profiles", self._profiles
-        for name, measured in self.case.scene.recorded.items():
-            yield f"{measured.folder}-{name}", partial(self._measured, name)
+        if self.complete:
+            yield "fields", self._fields
         if len(self.probes.stations):
             yield "history", self._history
 

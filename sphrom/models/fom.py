@@ -7,6 +7,8 @@ artifact of its own, from which the recorded part can be run again.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from sphrom.arrays import Array
 from sphrom.artifacts import write_record
@@ -23,7 +25,9 @@ from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, Model, TimeSteps, march, runge_kutta_step
 from sphrom.store.checkpoints import Checkpoints, integrate, remove_checkpoints
 from sphrom.store.stored_run import inflow_of
+from sphrom.store.tasks import Failure, Task, Told, recorded
 from sphrom.store.trajectory import TrajectoryWriter
+from sphrom.store.workers import made_by_workers
 from sphrom.store.workspace import Target, Workspace
 
 N_TIMED_STEPS = 10
@@ -47,6 +51,10 @@ def run(context: StageContext) -> None:
             f"runs at {'; '.join(theirs)} were imported, those at {'; '.join(ours)} are simulated "
             "here: models are trained on both, and compared with both"
         )
+    context, failed = _made_by_workers(workspace, points)
+    for failure in failed:
+        raise UnstableError(failure.reason)
+    workspace = Workspace(context)
     for point in points:
         target = ensure_run(workspace, point)
         remove_checkpoints(target)
@@ -62,6 +70,34 @@ def run(context: StageContext) -> None:
             context.report.warn(problem)
         elif inflow is not None:
             context.report.info(inflow.text)
+
+
+def run_each(context: StageContext, points: Sequence[ParameterPoint]) -> dict[ParameterPoint, str]:
+    """Run the full model at points, and return the reasons of unstable runs by point."""
+    workspace = Workspace(context)
+    require_room(context.case, workspace.out, points, "fom")
+    ensure_packed(workspace)
+    context, failed = _made_by_workers(workspace, points)
+    problems = {failure.point: failure.reason for failure in failed}
+    for point in points:
+        if point not in problems:
+            try:
+                run(replace(context, only=(point,)))
+            except UnstableError as error:
+                problems[point] = str(error).removeprefix(f"{point.label}: ")
+    return problems
+
+
+def _made_by_workers(
+    workspace: Workspace, points: Iterable[ParameterPoint]
+) -> tuple[StageContext, list[Failure]]:
+    targets = {(point, ""): workspace.full_run(point) for point in points}
+    return made_by_workers(workspace, "full runs", make_run, targets)
+
+
+def make_run(task: Task) -> Told:
+    """Make the full run of a task."""
+    return recorded(task, lambda work: remove_checkpoints(ensure_run(work, task.points[0])))
 
 
 def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:

@@ -12,11 +12,14 @@ from sphrom.artifacts import write_record
 from sphrom.artifacts.records.reduced_models import HistoryTable
 from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
+from sphrom.case.tables import MeasuredSection
 from sphrom.errors import UnstableError
 from sphrom.models.contract import Ability, family_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.store.checkpoints import remove_checkpoints
+from sphrom.store.tasks import Task, Told, recorded
+from sphrom.store.workers import made_by_workers
 from sphrom.store.workspace import Target, Workspace
 
 
@@ -24,10 +27,23 @@ def map_runs(context: StageContext) -> None:
     """Stage `map`: map the full runs of the chosen parameter points."""
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only, "map")
-    for point in context.chosen(context.case.plan.points):
-        if workspace.must_make(workspace.mapped(point)):
-            workspace.require(workspace.full_run(point))
-            family_of(context.case).part("map_run")(workspace, point)
+    points = context.chosen(context.case.plan.points)
+    targets = {(point, ""): workspace.mapped(point) for point in points}
+    workspace = Workspace(made_by_workers(workspace, "maps", make_map, targets)[0])
+    for point in points:
+        ensure_mapped(workspace, point)
+
+
+def make_map(task: Task) -> Told:
+    """Map the full run of a task."""
+    return recorded(task, lambda workspace: ensure_mapped(workspace, task.points[0]))
+
+
+def ensure_mapped(workspace: Workspace, point: ParameterPoint) -> None:
+    """Map a full run unless its map is up to date."""
+    if workspace.must_make(workspace.mapped(point)):
+        workspace.require(workspace.full_run(point))
+        family_of(workspace.case).part("map_run")(workspace, point)
 
 
 def make_basis(context: StageContext) -> None:
@@ -67,6 +83,7 @@ def train_models(context: StageContext) -> None:
     workspace = Workspace(context)
     case = context.case
     histories = getattr(case.scene, "histories", {}).items()
+    measured = {name: one for name, one in histories if isinstance(one, MeasuredSection)}
     for section in case.rom:
         family = family_of(case, section)
         target = workspace.model(section)
@@ -77,7 +94,7 @@ def train_models(context: StageContext) -> None:
             "model": section.name,
             "reference_density": case.fluid.reference_density,
             "sound_speed": case.plan.sound_speed,
-            "histories": {name: HistoryTable.of(history) for name, history in histories},
+            "histories": {name: HistoryTable.of(history) for name, history in measured.items()},
         }
         stored = family.part("trained")(workspace, section, common)
         if stored is not None:
@@ -98,6 +115,13 @@ def run_models(context: StageContext) -> None:
     runs = [(m, p) for m in context.chosen_models for p in context.chosen(at(m))]
     if not runs:
         context.report.info("no reduced model to run")
+    # Runs from operators take less time than to tell a process of them.
+    targets = {
+        (point, model.name): workspace.reduced_run(model, point)
+        for model, point in runs
+        if not family_of(context.case, model).can(Ability.RUNS_ALONE)
+    }
+    workspace = Workspace(made_by_workers(workspace, "reduced runs", make_run, targets)[0])
     for model, point in runs:
         target = ensure_run(workspace, model, point)
         remove_checkpoints(target)
@@ -107,6 +131,16 @@ def run_models(context: StageContext) -> None:
                 unstable.append(f"{model.name}, {point.label}: {detail}")
     if unstable:
         raise UnstableError("\n".join(unstable))
+
+
+def make_run(task: Task) -> Told:
+    """Make the reduced run of a task."""
+
+    def make(workspace: Workspace) -> None:
+        model = next(model for model in workspace.case.rom if model.name == task.model)
+        remove_checkpoints(ensure_run(workspace, model, task.points[0]))
+
+    return recorded(task, make)
 
 
 def ensure_run(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> Target:

@@ -3,9 +3,10 @@
     da/dt = f(a) + (c + A a) + (nu / nu_mean - 1) (c' + A' a)
 
 compensates for the difference between moving particles and fixed points (`docs/fast-models.md`).
-Every other parameter adds such a term; its factor is the parameter's difference from the mean of
-the runs, divided by the runs' largest value. The terms minimise the squared residual, averaged over
-a window that moves along each run, with a penalty that pulls them to zero:
+Every other parameter adds such a term, except knots of a history; its factor is the parameter's
+difference from the mean of the runs, divided by the runs' largest value. The terms minimise the
+squared residual, averaged over a window that moves along each run, with a penalty that pulls them
+to zero:
 
     sum |<da/dt - f(a)> - c - A <a> - ...|^2 + lambda n s^2 (|c|^2 / s^2 + |A|^2 + ...)
 

@@ -23,7 +23,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
 from sphrom.compare.basis_figures import frame_of
-from sphrom.compare.comparison_figures import QUANTITIES, side_by_side
+from sphrom.compare.comparison_figures import QUANTITIES, draw_comparison, side_by_side
 from sphrom.compare.comparison_tables import RECORDS, Tables
 from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
@@ -63,7 +63,7 @@ GAP = 1
 
 
 def run(context: StageContext) -> None:
-    """Write the page beside the artifacts.
+    """Write the page beside the artifacts, and draw the missing figures of the comparison.
 
     Raises ArtifactError when the page can't be written, or a table is missing or of another case.
     """
@@ -77,11 +77,13 @@ def run(context: StageContext) -> None:
     parts: dict[str, list[Html]] = {title: [] for title in contents["sections"]}
     points = {"Predicted": plan.test_points, "Trained": plan.train_points}
     first = next((title for title, some in points.items() if some), "Predicted")
+    if case.compare.plots is not False:
+        draw_comparison(workspace, tables)
     parts[first] += animations(workspace)
     for title, some in points.items():
         for point in some:
             parts[title] += _figures_at(workspace, tables, point, captions)
-    if not case.compare.plots:
+    if case.compare.plots is False:
         parts[first].append(element("p", "No figures were drawn: compare.plots is off."))
     for basis in plan.bases:
         named = _named(contents["bases"], basis)

@@ -14,12 +14,15 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache, reduce
 from inspect import signature
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.text import shortened
+
+if TYPE_CHECKING:
+    from sphrom.scenes.histories import History
 
 MAX_DEPTH = 50
 """Most levels of nested brackets and operators."""
@@ -37,8 +40,6 @@ MOST_COMPILED = 1000
 MOST_INPUTS = 30
 """Most variables and calls of those functions that numexpr can take."""
 CONSTANTS = {"pi": math.pi}
-History = Callable[[Array], Array]
-"""Values at times [s]."""
 Histories = Mapping[str, "History | Function"]
 Given = Mapping[str, Array | float]
 """Values of variables."""
@@ -108,7 +109,7 @@ class Expression:
         """Return a function for the values of a call, given those of the variables."""
         name = _name(node)
         parts = [self._like(ast.unparse(part)) for part in node.args]
-        _ = [part.compiled if part.depends_on else part._fixed for part in parts]
+        _ = [part.compiled if part.depends_on else part.fixed for part in parts]
         if name in self._histories:
             return lambda given: self._histories[name](*[part._of(given) for part in parts])
         if name != "interp":
@@ -116,7 +117,7 @@ class Expression:
             return lambda given: reduce(chosen, [part._of(given) for part in parts])
         if any(place.depends_on for place in parts[1::2]):
             raise ValueError(f"the places in '{_short(node)}' must be numbers or constants")
-        places = [float(place._fixed) for place in parts[1::2]]
+        places = [float(place.fixed) for place in parts[1::2]]
         if not all(low < high for low, high in itertools.pairwise(places)):
             raise ValueError(f"the places in '{_short(node)}' must increase")
 
@@ -133,10 +134,11 @@ class Expression:
 
     def _of(self, given: Given) -> Array:
         """Return the values in the shape of the variables that the expression depends on."""
-        return self(**{n: given[n] for n in self.depends_on}) if self.depends_on else self._fixed
+        return self(**{n: given[n] for n in self.depends_on}) if self.depends_on else self.fixed
 
     @cached_property
-    def _fixed(self) -> Array:
+    def fixed(self) -> Array:
+        """The value of an expression that depends on no variable."""
         plain = self._plain  # a knot's value is often one constant, which need not be compiled
         return np.asarray(plain.value) if isinstance(plain, ast.Constant) else self()
 
@@ -187,7 +189,11 @@ class Expression:
 
         Degree one means affine in these names, and degree zero independent of them.
         """
-        return _degree(self._tree, names)
+        degrees = dict.fromkeys(names, 1.0)
+        for name, called in self._histories.items():
+            if not isinstance(called, Function):
+                degrees[name] = called.degree_in(names)
+        return _degree(self._tree, degrees)
 
     def separated(self, variable: str) -> tuple[Expression, Expression]:
         """Split the expression into a factor without a variable and one with this variable alone.
@@ -213,10 +219,11 @@ class Expression:
         )
 
 
-def _degree(node: ast.AST, names: Collection[str]) -> float:
-    parts = [_degree(part, names) for part in ast.iter_child_nodes(node)]
+def _degree(node: ast.AST, degrees: Mapping[str, float]) -> float:
+    """Return the degree of an expression, given those of names and histories."""
+    parts = [_degree(part, degrees) for part in ast.iter_child_nodes(node)]
     if isinstance(node, ast.Name):
-        return float(node.id in names)
+        return degrees.get(node.id, 0.0)
     if isinstance(node, ast.BinOp):
         left, _, right = parts
         if isinstance(node.op, ast.Add | ast.Sub):
@@ -225,10 +232,12 @@ def _degree(node: ast.AST, names: Collection[str]) -> float:
             return left + right
         if isinstance(node.op, ast.Div) and right == 0.0:
             return left
-    elif isinstance(node, ast.Call) and _name(node) == "interp":
-        _, place, *knots = parts
-        if not any((place, *knots[::2])):
+    elif isinstance(node, ast.Call):
+        function, place, *knots = parts
+        if _name(node) == "interp" and not any((place, *knots[::2])):
             return max(knots[1::2])
+        if not any((place, *knots)):
+            return function
     elif isinstance(node, ast.UnaryOp):
         return parts[1]
     return math.inf if any(parts) else 0.0

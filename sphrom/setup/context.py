@@ -60,6 +60,13 @@ class StageContext:
 
     Zero writes one after every step, however slow.
     """
+    workers: int | None = None
+    """Number of processes that make independent runs at the same time; None for this one alone.
+
+    A sweep chooses it if it is None, and so does a training for its first runs.
+    """
+    scheduler: str | None = None
+    """Address of a Dask scheduler, whose workers make such runs instead."""
     bitwise: bool = False
     """With `resume`, whether to restart runs that would not continue with the same bits."""
     known: KnownArtifacts = field(default_factory=KnownArtifacts)

@@ -338,7 +338,7 @@ def _computed_otherwise(kept: Checkpoint) -> str:
     )
 
 
-def _left(target: Target) -> list[Path]:
+def left(target: Target) -> list[Path]:
     """Return all paths with names of checkpoints or parts, valid or not; states first."""
     folder = target.path.parent
     name = escape(target.path.name)
@@ -355,7 +355,7 @@ def _remove(target: Target) -> None:
 
     The state goes first, as it refers to the parts. Raises ArtifactError for a folder of that name.
     """
-    files = _left(target)
+    files = left(target)
     if folder := next(filter(Path.is_dir, files), None):
         raise ArtifactError(f"{folder} is a folder with the name of a checkpoint: remove it")
     for path in files:
@@ -364,6 +364,6 @@ def _remove(target: Target) -> None:
 
 def remove_checkpoints(target: Target) -> None:
     """Remove the checkpoints of a finished artifact, unless another process is writing it."""
-    if _left(target):
+    if left(target):
         with suppress(ArtifactError), locked(target.path):
             _remove(target)

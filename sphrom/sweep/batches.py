@@ -31,9 +31,9 @@ from sphrom.models import fom, stages
 from sphrom.models.contract import Ability, ModelRun, family_of, model_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.store.checkpoints import remove_checkpoints
+from sphrom.store.tasks import Failure, Task
 from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
-from sphrom.sweep.workers import Failure, Task
 
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
@@ -89,7 +89,7 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
 def _swept(task: Task) -> SweptModel:
     """Return the model for tasks that differ only in their points."""
     # A stopped run continues from its checkpoint, as the sweep continues.
-    return SweptModel(Workspace(task.context(resume=not task.force)))
+    return SweptModel(Workspace(task.context()))
 
 
 def runs_alone(case: Case) -> bool:

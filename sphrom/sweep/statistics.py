@@ -259,7 +259,7 @@ def publish(
     for kind, rows in {"quantiles": quantiles, "indices": indices}.items():
         if cells := list(rows):
             write_csv(beside(path, kind, "csv"), rows_of_columns(dict.fromkeys(cells[0]), cells))
-    if case.compare.plots:
+    if case.compare.plots is not False:
         save(draw_quantiles(result, time), beside(path, "quantiles", "png"))
         if result.indices:
             save(draw_indices(result, names, time), beside(path, "indices", "png"))

@@ -11,7 +11,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
+from functools import partial
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
@@ -31,6 +33,8 @@ from sphrom.models.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import full_seconds, require_room, runs_that_fit
+from sphrom.store.tasks import Failure, Task, files_of
+from sphrom.store.workers import start_workers
 from sphrom.store.workspace import Target, Workspace
 from sphrom.sweep import statistics
 from sphrom.sweep.batches import (
@@ -51,7 +55,6 @@ from sphrom.sweep.batches import (
     runs_alone,
     write_sweep,
 )
-from sphrom.sweep.workers import Failure, check_options, start_workers
 from sphrom.text import counted, duration
 
 LARGEST_BATCH, SMALLEST_BATCH = 1000, 50
@@ -80,17 +83,15 @@ Cells = dict[str, str | float | None]
 
 def run(
     context: StageContext,
-    workers: int | None = None,
-    scheduler: str | None = None,
     shard: tuple[int, int] | None = None,
     collect: bool = False,
 ) -> None:
     """Run the model of a case's sweep at all its values, and gather the results in one artifact.
 
+    By default there is one process per core, if memory allows.
+
     Parameters
     ----------
-    workers : number of processes on this machine; by default one per core, if memory allows.
-    scheduler : address of a Dask scheduler, whose workers do the runs instead.
     shard : (i, n) to do only the i-th of n shares of the runs, with i from 1.
     collect : whether to make no runs and only gather the existing ones.
 
@@ -98,9 +99,8 @@ def run(
     artifact of the model is missing or runs belong to another case, UnstableError after all runs,
     if one became unstable; the table shows which.
     """
-    check_options(workers, scheduler)
     if context.force + (shard is not None) + bool(collect) > 1 or (
-        collect and scheduler is not None
+        collect and context.scheduler is not None
     ):
         raise CaseError(
             "--force, --shard, --collect: can't be combined, nor --collect and --scheduler; to "
@@ -123,7 +123,7 @@ def run(
             results.discard()
         chosen = points if shard is None else points[shard[0] - 1 :: shard[1]]
         if missing := results.missing(chosen):
-            failed = _make(workspace, missing, workers, scheduler)
+            failed = _make(workspace, missing)
             require_folder(workspace)
     if shard is not None and (left := results.missing(points)):
         context.report.info(
@@ -136,21 +136,17 @@ def run(
     results.gather(failed)
 
 
-def _make(
-    workspace: Workspace,
-    points: Sequence[ParameterPoint],
-    number: int | None,
-    scheduler: str | None,
-) -> list[Failure]:
+def _make(workspace: Workspace, points: Sequence[ParameterPoint]) -> list[Failure]:
     """Run the model at points, and return the failures."""
     case = workspace.case
-    report = workspace.context.report
-    model = sweep_model(workspace.case)
+    context = workspace.context
+    report = context.report
+    model = sweep_model(case)
     if model is None:
         new = tuple(point for point in points if point not in case.plan.points)
         require_room(case, workspace.out, new or points, "fom")
         # Packed particles are kept, even if runs are made again.
-        ensure_packed(Workspace(replace(workspace.context, force=False)))
+        ensure_packed(Workspace(replace(context, force=False)))
         if (advice := slow_sweep(case)) is not None:
             report.note(advice)
         seconds = duration(full_seconds(case, len(points)))
@@ -161,15 +157,29 @@ def _make(
     # A task has many runs from operators, because these are short.
     in_batches = runs_alone(case)
     n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
-    number = min(number or runs_that_fit(case, "fom" if model is None else "rom"), n_tasks)
+    fitting = runs_that_fit(case, "fom" if model is None else "rom")
+    number = min(context.workers or fitting, n_tasks)
     # The case of a task has no values, because each process would parse a long list again.
-    bare = replace(workspace.context, case=changed(case, sweep=case.sweep.of_any_values))
-    with start_workers(number, scheduler, report) as workers:
+    bare = replace(context, case=changed(case, sweep=case.sweep.of_any_values))
+    with start_workers(number, context.scheduler, report) as workers:
         size = 1
         if in_batches:
             share = math.ceil(len(points) / (BATCHES_EACH * workers.number))
             size = min(max(share, SMALLEST_BATCH), LARGEST_BATCH)
-        return workers.run(f"sweep {sweep_name(case)}", Workspace(bare), points, make_runs, size)
+        shares = ((points[k : k + size], "") for k in range(0, len(points), size))
+        needs = partial(_needs, workspace)
+        name = f"sweep {sweep_name(case)}"
+        return workers.run(name, Workspace(bare), shares, make_runs, needs)
+
+
+def _needs(workspace: Workspace, task: Task) -> Iterable[Path]:
+    """Return the files with which another machine makes the runs of a task."""
+    model = sweep_model(workspace.case)
+    if runs_alone(workspace.case):
+        return (parent.path for parent in workspace.sweep().parents.values())
+    (point,) = task.points
+    target = workspace.full_run(point) if model is None else workspace.reduced_run(model, point)
+    return files_of(workspace, target)
 
 
 def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:

@@ -19,7 +19,7 @@ from sphrom.case.points import ParameterPoint, TestValues
 from sphrom.case.studies import at_resolution, changed, values_at
 from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, TrainingSection
 from sphrom.console import Reporter
-from sphrom.errors import CaseError, UnstableError
+from sphrom.errors import CaseError
 from sphrom.metrics.measures import Probes, Samples
 from sphrom.metrics.series import BELOW_ONSET, STEADY
 from sphrom.models import fom, stages
@@ -243,14 +243,10 @@ def make_runs(
     variant: Variant, label: str, points: Sequence[ParameterPoint]
 ) -> list[ParameterPoint]:
     """Make the missing full runs of a variant; return and warn of unstable points."""
-    unstable = []
-    for point in points:
-        try:
-            fom.run(replace(variant.context, only=(point,)))
-        except UnstableError as error:
-            variant.context.report.warn(f"{label}, {point.label}: {error}")
-            unstable.append(point)
-    return unstable
+    problems = fom.run_each(variant.context, points)
+    for point, problem in problems.items():
+        variant.context.report.warn(f"{label}, {point.label}: {problem}")
+    return [*problems]
 
 
 def sampled(

@@ -24,9 +24,9 @@ from sphrom.models import fom
 from sphrom.models.contract import ModelRun, model_of
 from sphrom.models.stages import OPERATORS, map_runs
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import require_room, runs_that_fit
+from sphrom.setup.cost import runs_that_fit
 from sphrom.store.variants import Variant
-from sphrom.sweep.workers import Failure, Task, start_workers
+from sphrom.store.workers import start_workers
 from sphrom.train.outcome import FOLDER, HeldOut
 
 MADE_HERE = ("basis", "spline", "b-spline", "operators")
@@ -43,14 +43,10 @@ class Surrogate:
         context: StageContext,
         section: ReducedModelSection,
         starts: Sequence[ParameterPoint],
-        workers: int | None,
-        scheduler: str | None,
     ) -> None:
         """Make the first full runs. Raises UnstableError if one becomes unstable."""
         self._context = context
         self._section = section
-        self._workers = workers
-        self._scheduler = scheduler
         self.points = tuple(starts)
         """The training points."""
         for point, reason in self._full_runs(starts).items():
@@ -62,8 +58,8 @@ class Surrogate:
     @property
     def at_once(self) -> int:
         """The number of full runs that can be made at once."""
-        report = self._context.report
-        with start_workers(self._workers or 1, self._scheduler, report) as workers:
+        context = self._context
+        with start_workers(context.workers or 1, context.scheduler, context.report) as workers:
             return workers.number
 
     def evaluate(self, candidates: Sequence[ParameterPoint]) -> tuple[Array, Array]:
@@ -103,7 +99,7 @@ class Surrogate:
         # The time steps of a full run depend on all points of the case.
         every = tuple(dict.fromkeys((*self.points, *points)))
         variant = Variant(self._context, trained_at(self._context.case, every))
-        return make_full_runs(variant, points, self._workers, self._scheduler)
+        return make_full_runs(variant, points)
 
     def share(self) -> list[str]:
         """Make the case's bases, splines and operators for the points, unless some exist.
@@ -119,49 +115,19 @@ class Surrogate:
         return kept
 
 
-def make_full_runs(
-    variant: Variant,
-    points: Sequence[ParameterPoint],
-    workers: int | None,
-    scheduler: str | None,
-) -> dict[ParameterPoint, str]:
+def make_full_runs(variant: Variant, points: Sequence[ParameterPoint]) -> dict[ParameterPoint, str]:
     """Make and map missing full runs at points; return reasons of unstable ones, by point.
 
-    Stopped runs continue from their checkpoints. With `workers` None, runs use all cores.
+    Stopped runs continue from their checkpoints. Without a number of workers, runs use all cores.
 
     Raises SphromError if a run fails for another reason than instability.
     """
-    case = variant.case
-    workspace = variant.workspace
-    require_room(case, workspace.out, points, "fom")
-    fom.ensure_packed(workspace)
-    missing = [p for p in points if workspace.reason_to_make(workspace.full_run(p)) is not None]
-    failed: list[Failure] = []
-    if missing:
-        number = min(workers or runs_that_fit(case, "fom"), len(missing))
-        with start_workers(number, scheduler, variant.origin.report) as started:
-            failed = started.run("full runs", workspace, missing, make_run)
-    for failure in failed:
-        if failure.kind is not UnstableError:
-            raise failure.kind(f"{failure.point.label}: {failure.reason}")
-    # Unstable runs are on disk, too, also those of earlier calls.
-    problems = {failure.point: failure.reason for failure in failed}
-    variant = replace(variant)  # knows nothing of the artifacts before
-    workspace = variant.workspace
-    for point in points:
-        if point not in problems:
-            with workspace.open(workspace.full_run(point)) as run:
-                if run.text("status") != "complete":
-                    problems[point] = run.text("status_detail")
+    context = variant.context
+    number = context.workers or runs_that_fit(variant.case, "fom")
+    problems = fom.run_each(replace(context, workers=number), points)
     stable = tuple(point for point in points if point not in problems)
-    map_runs(replace(variant.context, only=stable))
+    map_runs(replace(context, only=stable, workers=None, scheduler=None))
     return problems
-
-
-def make_run(task: Task) -> tuple[Failure, ...]:
-    """Make the full run of a task."""
-    fom.run(task.context(only=task.points, keep_valid=True, resume=True))
-    return ()
 
 
 class StageModel:

@@ -24,7 +24,6 @@ from sphrom.reduction.greedy import Ending, choose, ending
 from sphrom.setup.context import StageContext
 from sphrom.store.variants import Variant
 from sphrom.store.workspace import Workspace
-from sphrom.sweep.workers import check_options
 from sphrom.text import exact
 from sphrom.train.outcome import FOLDER, HeldOut, Outcome, Stage, publish
 from sphrom.train.surrogate import Surrogate
@@ -38,24 +37,20 @@ def run(
     context: StageContext,
     tolerance: str | None = None,
     budget: int | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
     write_case: Path | None = None,
 ) -> None:
     """Choose full runs until a model is within a tolerance, and write the case with their points.
 
+    At each stage it chooses as many points as the context has workers, which make their runs.
+
     Parameters
     ----------
     tolerance, budget : replace those of the section `training`.
-    workers : number of parallel full runs, and of points that a stage chooses; None chooses one
-        point at a time, and makes the first runs on all cores.
-    scheduler : address of a Dask scheduler, whose workers make the full runs instead.
     write_case : file of the case with the chosen points; by default in the folder `training`.
 
     Raises CaseError when there is no region, or the case can't be trained there; UnstableError when
     a full run became unstable: immediately for one of the first runs, otherwise at the end.
     """
-    check_options(workers, scheduler)
     options: dict[str, object] = {}
     if tolerance is not None:
         options["tolerance"] = f"{exact(percent(tolerance, '--tolerance'))}%"
@@ -72,7 +67,7 @@ def run(
     if not path.parent.is_dir():
         raise CaseError(f"--write-case: {path.parent} is not a folder")
     require_writable(path)
-    surrogate = Surrogate(context, model, starts, workers, scheduler)
+    surrogate = Surrogate(context, model, starts)
     stages, ended = greedy(surrogate, region, candidates, case.training)
     write_whole(path, resolved_yaml(trained_at(case, surrogate.points), path.parent).encode())
     outcome = Outcome(case.training, model.name, stages, ended)

@@ -105,7 +105,7 @@ def test_second_process_is_told_of_the_first(write_trajectory, tmp_path: Path) -
         write_trajectory(tmp_path / "other.h5")
         assert not path.exists()
         process.kill()
-        process.wait(timeout=30)
+        process.wait(timeout=300)
         # What a killed process left neither blocks the next one nor stays.
         assert list(tmp_path.glob(".fom.h5.tmp"))
     write_trajectory()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,12 @@ def load(tmp_path: Path):
     """Load a case with a table of some content, and keys of its scene."""
 
     def case(
-        content: str | bytes | None = TABLE, /, history: Any = None, rom: Any = (), **given: Any
+        content: str | bytes | None = TABLE,
+        /,
+        history: Any = None,
+        rom: Any = (),
+        parameters: Any = None,
+        **given: Any,
     ) -> Case:
         if content is not None:
             data = content if isinstance(content, bytes) else content.encode()
@@ -36,6 +42,7 @@ def load(tmp_path: Path):
             **given,
         }
         keys = {"name": "x", "scene": scene, "time": {"final_time": 2.0}, "rom": [*rom]}
+        keys |= {} if parameters is None else {"parameters": parameters}
         (tmp_path / "case.yaml").write_text(yaml.safe_dump(keys))
         return load_case(tmp_path / "case.yaml")
 
@@ -101,6 +108,64 @@ def test_files_without_a_history(refusal, content, words: str) -> None:
     (line,) = refusal(content)
     assert "scene.histories.sway" in line
     assert words in line
+
+
+def test_knots_are_functions_of_constants_in_which_the_driving_is_affine(load) -> None:
+    """In a channel and in a tank."""
+    knots = {"times": [0, 0.5, 2], "values": [0, "a", "2*b - 1"]}
+    given = {"constants": {"a": 2.0, "b": 0.0}, "histories": {"sway": knots}}
+    for fluid in ({}, {"fluid": {"level": 0.5}, "body_force": ["0.1*sway(t)", 0]}):
+        case = load(**given, **fluid)
+        np.testing.assert_allclose(force(case, 0.25, 0.5, 1.25, 2.0), [0.1, 0.2, 0.05, -0.1])
+        flow = case.plan.flow(ParameterPoint(100.0, (("a", 1.0), ("b", 2.0))))
+        assert flow.body_force(np.array([[1.0], [0.5]]), 1.25)[0, 0] == pytest.approx(0.2)
+
+
+def test_cubic_histories_reproduce_cubic_polynomials(load) -> None:
+    """Through knots, and through the rows of a table."""
+    times = np.array([0.0, 0.3, 0.8, 1.5, 2.0])
+    asked = np.linspace(0.0, 2.0, 9)
+    polynomial = np.polynomial.Polynomial([0.5, -1.0, 2.0, -0.7])
+    knots = {"times": times.tolist(), "values": polynomial(times).tolist()}
+    rows = "".join(f"{t!r},{v!r}\n" for t, v in zip(*knots.values(), strict=True))
+    for history in (knots, {"file": "sway.csv", "scale": 1.0}):
+        case = load(f"time,ax\n{rows}", histories={"sway": {**history, "interpolation": "cubic"}})
+        np.testing.assert_allclose(force(case, *asked), 0.1 * polynomial(asked), atol=1e-14)
+
+
+def test_models_are_not_fitted_to_knots(load) -> None:
+    """A constant that also shapes the field is a parameter of the equations."""
+    given = {
+        "constants": {"a": 2.0, "b": 1.0, "c": 1.0},
+        "histories": {"sway": {"times": [0, 2], "values": ["a", "b + c"]}},
+        "body_force": ["sway(t)*(1 + c*y)", 0],
+    }
+    point = {"reynolds": 50, "a": 1.0, "b": 2.0, "c": 3.0}
+    plan = load(**given, parameters={"train": {"points": [point]}}).plan
+    assert plan.fitted_factors(plan.points[0]) == {"c": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("knots", "words"),
+    [
+        ({"times": [0, 1, 1], "values": [0, 1, 2]}, "sway.times: must rise; got 0, 1, 1"),
+        ({"times": [0], "values": [0]}, "sway.times: "),
+        ({"times": [0, 2], "values": [0, 1, 2]}, "as many as times; got 3 values and 2 times"),
+        ({"times": [0, 1.5], "values": [0, 1]}, "sway: it has times from 0 to 1.5 s, but 2 s is"),
+        ({"times": [0, 2], "values": [0, "f"]}, "sway.values: f is not a known name"),
+        ({"times": [0, 2], "values": [0, "t"]}, "sway.values: t is not a known name"),
+        ({"times": [0, 2], "values": [0, math.nan]}, "sway.values.1: must be a number"),
+        ({"times": [0, 2], "values": [0, "1/0"]}, "sway.values: '1/0' can't be evaluated"),
+        ({"times": [0, 2], "values": [0, "log(0)"]}, "body_force: is not finite at t = "),
+        ({"times": [0, 2]}, "sway.values: is missing"),
+        ({"file": "sway.csv", "times": [0, 2], "values": [0, 1]}, "exactly one of file, times"),
+        ({"times": [0, 2], "values": [0, 1], "scale": 2.0}, "scale: is only for file"),
+        ({"times": [0, 2], "values": [0, 1], "interpolation": "pchip"}, "one of linear, cubic"),
+    ],
+)
+def test_wrong_knots(load, knots: dict[str, Any], words: str) -> None:
+    with pytest.raises(CaseError, match=words):
+        load(histories={"sway": knots})
 
 
 @pytest.mark.parametrize(

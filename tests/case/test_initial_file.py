@@ -80,9 +80,14 @@ def test_what_the_file_holds_is_part_of_what_is_made_from_it(load) -> None:
         load(SQUARE, initial={"file": "start.csv", "sha256": "0" * 64})
 
 
-def test_a_case_written_elsewhere_names_the_same_files(load, tmp_path: Path) -> None:
+def test_a_case_written_elsewhere_names_the_same_files(
+    load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Behind a link too, and with an outline that is larger than a case may be."""
-    (tmp_path / "disc.wkt").write_text(shapely.Point(5.0, 5.0).buffer(2.0, 2000).wkt)
+    monkeypatch.setattr("sphrom.case.loader.MAX_BYTES", 8 * 1024)
+    outline = shapely.Point(5.0, 5.0).buffer(2.0, 100).wkt
+    assert len(outline) > 8 * 1024
+    (tmp_path / "disc.wkt").write_text(outline)
     solids = {"hole": {"union": [{"file": "disc.wkt"}]}}
     case = load(SQUARE, box={"upper": [10, 10], "periodic": ["x", "y"]}, solids=solids)
     (tmp_path / "far" / "away").mkdir(parents=True)

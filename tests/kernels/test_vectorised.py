@@ -52,7 +52,7 @@ def test_loops_over_pairs_are_vectorised() -> None:
         capture_output=True,
         text=True,
         check=True,
-        timeout=120,
+        timeout=600,
     )
     # What makes it so is that sums may be reassociated.
     assert json.loads(found.stdout) == [[True, False]] * len(KERNELS)

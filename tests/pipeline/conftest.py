@@ -268,7 +268,7 @@ def wait_for() -> Callable[..., Any]:
     """Wait until there is something, while a process runs, and return it."""
 
     def wait(process: subprocess.Popen[Any], found: Callable[[], Any]) -> Any:
-        deadline = time.monotonic() + 120.0
+        deadline = time.monotonic() + 600.0
         while not (there := found()):
             assert process.poll() is None
             assert time.monotonic() < deadline

@@ -51,7 +51,7 @@ def test_two_processes_on_one_folder(empty, refused, wait_for):
             line = refused("fom", "tiny.yaml", *LONG, *options)
             assert f"{FULL} is being written by another process" in line
         first.send_signal(signal.SIGINT)
-        assert first.wait(timeout=30) == 130
+        assert first.wait(timeout=300) == 130
     finally:
         first.kill()
     assert not (empty / FULL).exists()

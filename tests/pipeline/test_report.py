@@ -27,7 +27,7 @@ def browse(page: Path, folder: Path, *arguments: str) -> str:
         ],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=True,
     )  # fmt: skip
     return result.stdout

@@ -253,7 +253,7 @@ def test_signals_leave_a_checkpoint(empty, wait_for, number, code, word) -> None
     try:
         wait_for(process, lambda: list(empty.glob(f"{FULL}.checkpoint*")))
         process.send_signal(number)
-        out, errors = process.communicate(timeout=30)
+        out, errors = process.communicate(timeout=300)
     finally:
         process.kill()
     assert (process.returncode, errors.partition(";")[0]) == (code, word)

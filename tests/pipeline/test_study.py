@@ -23,7 +23,7 @@ def test_a_study_is_made_file_by_file(tmp_path, case_text, request):
         result = subprocess.run(
             ["make", "-f", fragment, "CASE=tiny.yaml", "TRAIN=100 200", "MODEL=fast",
              f"SPHROM={sys.executable} -m sphrom", *arguments],
-            cwd=tmp_path, capture_output=True, text=True, timeout=120,
+            cwd=tmp_path, capture_output=True, text=True, timeout=900,
         )  # fmt: skip
         assert result.returncode == 0, result.stderr
         return result.stdout

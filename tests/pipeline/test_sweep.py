@@ -22,9 +22,10 @@ from sphrom.console import SilentReporter
 from sphrom.errors import ResourceError
 from sphrom.plots.tables import format_figure
 from sphrom.sph.functional import Functional
+from sphrom.store.tasks import Task
+from sphrom.store.workers import Workers
 from sphrom.sweep import sweep as stage
 from sphrom.sweep.batches import SweptModel, make_runs
-from sphrom.sweep.workers import Task, Workers
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True}
 SLOW = {"name": "slow", "n_modes": 2}
@@ -232,7 +233,7 @@ def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
     subprocess.run(
         [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", "--out", tmp_path / "single",
          "--set", "parameters.test.reynolds=[120]", "--only", "reynolds=120"],
-        check=True, capture_output=True, timeout=60,
+        check=True, capture_output=True, timeout=600,
     )  # fmt: skip
     expected = digests(tmp_path / "single")["fom-reynolds120.h5"]
     with open_artifact(ready / "fom-reynolds120.h5", "sphrom/trajectory", made_by="") as run:
@@ -360,7 +361,7 @@ def test_a_sweep_that_is_ended_goes_on_where_it_was(
         parts = wait_for(process, lambda: list((empty / "sweep-full").glob("part-*.h5"))[1:])
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         process.send_signal(number)
-        _, stderr = process.communicate(timeout=60)
+        _, stderr = process.communicate(timeout=300)
     assert process.returncode == code
     deadline = time.monotonic() + 15.0
     while any(runs(Path("/proc", child)) for child in children):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import json
 import os
@@ -18,7 +19,8 @@ import pytest
 from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.console import SilentReporter
-from sphrom.sweep import workers as sweep_workers
+from sphrom.store import workers as sweep_workers
+from sphrom.store.tasks import Task
 
 pytestmark = [
     pytest.mark.slow,
@@ -42,9 +44,15 @@ def started(*command: str, cwd: Path) -> subprocess.Popen[str]:
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory) -> Iterator[str]:
+def scratch(tmp_path_factory) -> Path:
+    """The folder in which workers keep temporary files."""
+    return tmp_path_factory.mktemp("cluster")
+
+
+@pytest.fixture(scope="module")
+def address(scratch) -> Iterator[str]:
     """The address of a scheduler on this machine whose workers are processes of their own."""
-    folder = tmp_path_factory.mktemp("cluster")
+    folder = scratch
     scheduler = started(
         "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
         cwd=folder,
@@ -77,7 +85,7 @@ def client(address):
     from distributed import Client
 
     with Client(address, set_as_default=False) as client:
-        client.wait_for_workers(N_WORKERS, timeout=60)
+        client.wait_for_workers(N_WORKERS, timeout=300)
         yield client
 
 
@@ -124,7 +132,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
         pids = client.run(os.getpid)
         busy = [name for name, tasks in client.processing().items() if tasks]
         os.kill(pids[next(iter(busy or pids))], signal.SIGKILL)
-        _, stderr = process.communicate(timeout=120)
+        _, stderr = process.communicate(timeout=600)
     finally:
         if process.poll() is None:
             process.kill()
@@ -138,11 +146,11 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
 
 def test_a_task_that_kills_its_workers_is_given_up(address, client, monkeypatch):
     # A function that ends its process takes the place of the one that does tasks.
-    task = sweep_workers.Task("", "", "", (ParameterPoint(1.0),), 1, False, "")
-    monkeypatch.setattr(sweep_workers, "_attempt_there", lambda do, task: os._exit(9))
+    task = Task("", "", "", (ParameterPoint(1.0),), 1, False, "")
+    monkeypatch.setattr(sweep_workers, "_attempt_there", lambda *_: os._exit(9))
     ((_, (told,)),) = sweep_workers.Workers(1, SilentReporter(), client).done([task], os._exit)
     assert "its process was lost" in told.reason
-    client.wait_for_workers(N_WORKERS, timeout=60)
+    client.wait_for_workers(N_WORKERS, timeout=300)
 
 
 @pytest.mark.parametrize("library", [True, False])
@@ -154,3 +162,98 @@ def test_a_scheduler_that_is_not_there(sphrom, empty, monkeypatch, library):
     result = sphrom("sweep", "tiny.yaml", *full, "--scheduler", "tcp://127.0.0.1:1", code=2)
     said = "no scheduler answers at tcp://127.0.0.1:1; start" if library else "needs the library"
     assert f"error: --scheduler: {said}" in result.stderr
+
+
+class Hidden:
+    """A plugin of workers, for which a folder is on another machine."""
+
+    name = "hidden"
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = str(folder)
+
+    def setup(self, worker: object) -> None:
+        self.stat = os.stat
+
+        def stat(path, *arguments, **options):
+            if str(path).startswith(self.folder):
+                raise FileNotFoundError(errno.ENOENT, "hidden")
+            return self.stat(path, *arguments, **options)
+
+        os.stat = stat
+
+    def teardown(self, worker: object) -> None:
+        os.stat = self.stat
+
+
+@pytest.fixture
+def apart(client, tmp_path) -> Iterator[None]:
+    """Hide the folder of a test from all workers, also from those that are started again."""
+    from distributed import WorkerPlugin
+
+    plugin = type("Plugin", (Hidden, WorkerPlugin), {})(tmp_path)
+    client.register_plugin(plugin)
+    yield
+    client.unregister_worker_plugin("hidden")
+
+
+@pytest.fixture
+def carried(monkeypatch) -> list[set[str]]:
+    """The names of the files that each task carries to a worker."""
+    names: list[set[str]] = []
+    contents = sweep_workers._contents
+
+    def carry(task, needs):
+        files = contents(task, needs)
+        names.append(set(files))
+        return files
+
+    monkeypatch.setattr(sweep_workers, "_contents", carry)
+    return names
+
+
+def test_artifacts_come_back_from_folders_of_workers(
+    sphrom, empty, case_text, address, apart, digests, scratch, carried
+):
+    rom = [{"name": "galerkin", "n_modes": 3}, FAST]
+    Path("tiny.yaml").write_text(case_text(rom=rom, time__spin_up=0.02))
+    sweep = ("sweep", "tiny.yaml", "--set", "sweep.reynolds=[110,120]")
+    sphrom("run", "tiny.yaml", "--scheduler", address, code=0)
+    sphrom(*sweep, "--scheduler", address, code=0)
+    runs = {"packing.h5", *(f"spin-up-reynolds{re}.h5" for re in (100, 150, 200))}
+    assert carried[:3] == [{"packing.h5"}] * 3
+    assert all("pod.h5" not in names and names & runs for names in carried[3:6])
+    assert [names - runs for names in carried[6:]] == [{"pod.h5", "psi.h5"}] * 3 + [
+        {"pod.h5", "operators.h5"}
+    ]
+    sphrom("run", "tiny.yaml", "--out", "here", code=0)
+    there = digests(empty)
+    with open_artifact(empty / "sweep-fast.h5", "sphrom/sweep", made_by="") as artifact:
+        assert artifact.read("status").tolist() == [0, 0]
+    del there["sweep-fast.h5"]
+    assert len([name for name in there if name.startswith("spin-up")]) == 3
+    assert there == digests(Path("here"))
+    assert not list(scratch.rglob("sphrom-*"))
+    assert not list(empty.glob(".*"))
+
+
+def test_a_killed_worker_continues_in_its_own_folder(
+    sphrom, empty, case_text, address, client, apart, wait_for, digests, scratch
+):
+    Path("tiny.yaml").write_text(case_text(rom=[], time__final_time=0.5))
+    command = ("sphrom", "fom", "tiny.yaml", "--scheduler", address, "--checkpoint-every", "0")
+    process = started(*command, cwd=Path.cwd())
+    try:
+        wait_for(process, lambda: list(scratch.rglob("sphrom-*/*.checkpoint")))
+        pids = client.run(os.getpid)
+        busy = [name for name, tasks in client.processing().items() if tasks]
+        os.kill(pids[next(iter(busy or pids))], signal.SIGKILL)
+        _, stderr = process.communicate(timeout=120)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate(timeout=20)
+    assert process.returncode == 0, stderr
+    sphrom("fom", "tiny.yaml", "--out", "here", code=0)
+    assert digests(empty) == digests(Path("here"))
+    assert not list(scratch.rglob("sphrom-*"))

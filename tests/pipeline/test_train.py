@@ -119,7 +119,7 @@ def test_what_a_kill_leaves_goes_on_to_the_same_bits(case, train, digests):
         process = subprocess.Popen(
             command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        deadline = time.monotonic() + 120.0
+        deadline = time.monotonic() + 600.0
         while process.poll() is None and time.monotonic() < deadline:
             if len(list(PLACE.glob("fom-*.h5"))) > n_runs:
                 break

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
 import time
 from pathlib import Path
@@ -44,7 +45,12 @@ def run(mutants: ModuleType, monkeypatch: pytest.MonkeyPatch, tests: str, *optio
     (mutants.ROOT / "tests").mkdir()
     (mutants.ROOT / CASE).write_text(tests)
     monkeypatch.setattr(sys, "argv", ["mutants.py", "--folder", "kept", "--seed", "1", *options])
-    mutants.main()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        mutants.main()
+    finally:
+        for number, handler in before.items():  # other tests of this process interrupt themselves
+            signal.signal(number, handler)
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,8 @@ def calibrated(
         amplitude = assembly.amplitude_of(case, point)
         rates = operators.at(viscosity, factors=point.factors)
         driven = None if amplitude is None else amplitude(times)
-        trained.append(TrainingRun(rates, coordinates, viscosity, driven, point.factors))
+        factors = case.plan.fitted_factors(point)
+        trained.append(TrainingRun(rates, coordinates, viscosity, driven, factors))
     interval = case.plan.steps.snapshot_interval
     return calibrate(trained, interval, case.plan.longest_sound_period)
 

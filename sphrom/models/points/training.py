@@ -357,7 +357,7 @@ class _Training:
                     found,
                     self.case.plan.kinematic_viscosity(point),
                     models[k].amplitudes(self.times),
-                    point.factors,
+                    self.case.plan.fitted_factors(point),
                 )
         return runs
 
