@@ -102,6 +102,23 @@ def test_errors_between_training_runs_are_near_their_estimates(tank: Path) -> No
         assert 0.25 * estimated < error < 2.0 * estimated
 
 
+def test_training_chooses_the_frequency_of_another_run(
+    tank: Path, sphrom: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tank.parents[1])
+    keys = ("--set", "training={ratio: [0.8, 0.9], tolerance: 60%, budget: 3}", "--quiet")
+    sphrom("train", "tank.yaml", *keys, code=0)
+    told = json.loads((tank / "training/training.json").read_text())
+    ratios = sorted(point["ratio"] for point in told["about"]["trained"])
+    assert told["about"]["ending"] == "within"
+    assert ratios[::2] == [0.8, 0.9]
+    assert 0.8 < ratios[1] < 0.9
+    first = told["stages"][0]
+    assert (
+        0.0 < first["velocity_floor"] < first["velocity_error"] < 2.0 * first["velocity_estimate"]
+    )
+
+
 def test_its_measurements_agree_with_each_other(tank: Path) -> None:
     with h5py.File(tank / "rom-fast-reynolds500-ratio0.85.h5") as run:
         time, centre = run["time"][()], run["measure/middle/centre_of_mass"][()]

@@ -149,7 +149,7 @@ class SurfaceModel(Model[SurfaceModelAt]):
         found = []
         for k, fields in enumerate(known.fields):
             measured = items({name: each.quantities for name, each in known.measure.items()}, k)
-            # Differences contain all errors, also those that are due to the basis.
+            # Differences contain all errors, those due to the basis too.
             missed = combined(items(measured, 0), items(measured, 0), -1.0)
             found.append(TrainedDifferences(measured, fields, missed))
         return found
