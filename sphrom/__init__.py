@@ -13,6 +13,7 @@ from sphrom.version import __version__
 
 if TYPE_CHECKING:
     from sphrom.api.flow import Flow as Flow
+    from sphrom.api.function import Function as Function
     from sphrom.api.model import Model as Model
     from sphrom.api.result import Result as Result
     from sphrom.api.result import Sensitivities as Sensitivities
@@ -31,6 +32,7 @@ FROM_API = {
     "Fit": "fit.fit",
     "FittedHistory": "artifacts.records.fit",
     "Flow": "api.flow",
+    "Function": "api.function",
     "Model": "api.model",
     "Result": "api.result",
     "Sensitivities": "api.result",

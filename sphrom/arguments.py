@@ -70,7 +70,7 @@ _KINDS: tuple[tuple[str, Callable[[Any], bool], Callable[[Any], Any], str], ...]
     ("a whole number from 1 on", _is_count, int, "threads workers"),
     ("(i, n) with i from 1 to n", _is_shard, tuple, "shard"),
     ("a path", _is_path, Path, "path out into write_case"),
-    ("a list of texts", _are_texts, tuple, "only names at"),
+    ("a list of texts", _are_texts, tuple, "only names at inputs outputs"),
     ("a mapping with names as keys", lambda v: hasattr(v, "items") and _are_texts(v), dict, "set"),
     (
         "a path, or a mapping by name",

@@ -88,6 +88,7 @@ CALLS: dict[str, tuple[str, Call]] = {
             ("sweep", "collect", "flag"), ("fit", "measurements", "path"),
             ("fit", "noise", "array"), ("fit", "name", "text"), ("export", "to", "text"),
             ("export", "into", "path"), ("export", "at", "text"),
+            ("export", "columns", "number"),
         )
     },
     "Study.model name": ("text", lambda o, v: o["s"].model(v, reynolds=150)),
@@ -114,6 +115,13 @@ CALLS: dict[str, tuple[str, Call]] = {
         f"Model.{name} time": ("number", lambda o, v, n=name: getattr(o["m"], n)(A, v))
         for name in ("rates", "jacobian", "measures")
     },
+    "Model.function inputs": ("text", lambda o, v: o["m"].function(v, ["drag_force_x"])),
+    "Model.function outputs": ("text", lambda o, v: o["m"].function(["reynolds"], v)),
+    "Model.function time": (
+        "number", lambda o, v: o["m"].function(["reynolds"], ["drag_force_x"], v)
+    ),
+    "Function.jacobian": ("array", lambda o, v: _function(o).jacobian(v)),
+    "Function()": ("array", lambda o, v: _function(o)(v)),
     "Result.fields": ("array", lambda o, v: o["r"].fields(v)),
     "Sensitivities.fields": ("array", lambda o, v: o["d"].fields(v)),
     "Fit[]": ("text", lambda o, v: o["f"][v]),
@@ -134,6 +142,11 @@ VALID = {
     "place": ("True",),
 }
 """Values that are defaults of an argument, or have a meaning, as Python writes them."""
+
+
+def _function(objects: dict[str, Any]) -> sphrom.Function:
+    model: sphrom.Model = objects["m"]
+    return model.function(["reynolds"], ["drag_force_x"])
 
 
 def _staged(objects: dict[str, Any], value: Any, stage: str, name: str) -> None:
@@ -161,7 +174,8 @@ def test_arguments_of_wrong_kinds(objects, name, tmp_path, monkeypatch):
 
 def test_every_public_function_is_tried():
     tried = {name.partition(" ")[0] for name in CALLS}
-    for owner in (sphrom.Study, sphrom.Model, sphrom.Result, sphrom.Sensitivities, sphrom.Fit):
+    results = (sphrom.Function, sphrom.Result, sphrom.Sensitivities, sphrom.Fit)
+    for owner in (sphrom.Study, sphrom.Model, *results):
         for name, function in inspect.getmembers(owner, inspect.isfunction):
             own = function.__module__ == owner.__module__ and not name.startswith("_")
             if own and len(inspect.signature(function).parameters) > 1:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sphrom.api.function import Function
 from sphrom.api.result import Labels, Result, Sensitivities, rows_of
 from sphrom.arguments import checked, finite_array
 from sphrom.arrays import Array
@@ -102,6 +103,11 @@ class Model:
         return self._point.as_dict()
 
     @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """The trained range (lowest, highest) of each parameter that varies in the case."""
+        return dict(trained_ranges(self._workspace.case, self._section))
+
+    @property
     def start(self) -> Array:
         """The initial coordinates (n_modes,) of runs."""
         self._require(Ability.RUNS_ALONE, "start")
@@ -176,17 +182,43 @@ class Model:
         """
         self._require(Ability.RUNS_ALONE, "run_many")
         at = self._points(rows_of(points))
-        doubts = list[str]()
+        return self._labels.runs(self._runs(at), [p.as_dict() for p in at], self.name)
 
-        def run(point: ParameterPoint) -> ModelRun:
-            made: ModelRun = self._fast.run(point)
-            doubts.extend(f"{point.label}: {text}" for text in made.unlike_training[:1])
-            return made
-
-        found = self._labels.runs(map(run, at), [p.as_dict() for p in at], self.name)
+    def _runs(self, points: Sequence[ParameterPoint]) -> Iterator[ModelRun]:
+        """Run the model at many points, and warn of those in doubt."""
+        doubts = []
+        for run in self._fast.runs(points):
+            doubts += [f"{run.point.label}: {text}" for text in run.unlike_training[:1]]
+            yield run
         if doubts:
-            self._warn(f"{len(doubts)} of {len(at)} runs are in doubt, such as {doubts[0]}")
-        return found
+            self._warn(f"{len(doubts)} of {len(points)} runs are in doubt, such as {doubts[0]}")
+
+    @guarded(solves=False)
+    @checked
+    def function(
+        self, inputs: Sequence[str], outputs: Sequence[str], time: float | None = None
+    ) -> Function:
+        """Return the model as a function of arrays, with bounds and a Jacobian.
+
+        Parameters
+        ----------
+        inputs : parameters that vary in the case. All others have the values of this model.
+        outputs : numbers of a run, named as in tables of a sweep: the value of a history at one
+            time, such as `drag_force_x` or `wake_pressure`; its statistics `drag_force_x_last`,
+            `_mean`, `_fluctuation`, `_least` and `_greatest`; a figure of an oscillation, such as
+            `shedding_frequency`. `error_estimate_drag_force_x` and the like are estimated errors in
+            the unit of the history.
+        time : time of values without such an ending [s]; by default the final time.
+        """
+        self._require(Ability.RUNS_ALONE, "function")
+        for kind, names in (("inputs", inputs), ("outputs", outputs)):
+            if not names or len({*names}) < len(names):
+                raise CaseError(f"{kind}: must be one name or more, each once")
+        self._require_names(inputs)
+        ranges = {name: self.ranges[name] for name in inputs}
+        return Function(
+            self._fast, lambda rows: self._runs(self._points(rows)), ranges, outputs, time
+        )
 
     @guarded()
     @checked

@@ -13,7 +13,7 @@ from sphrom.arguments import finite_array
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import Quantities, Samples, since, why_missing
+from sphrom.metrics.measures import Measured, Samples, since, why_missing
 from sphrom.metrics.quantities import AXES, MEASURABLE, PLACED, is_vector
 from sphrom.models.contract import ModelRun
 from sphrom.models.estimates import ErrorEstimate
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 Variable = tuple[Any, ...]
 """Axes, values and attributes of a variable of xarray."""
-Measured = Mapping[str, Quantities]
-"""Quantities of measurements, by the name of the measurement."""
 
 
 def labelled(dims: str, values: Array, units: str, meaning: str) -> Variable:
@@ -155,6 +153,10 @@ class Labels:
             if (own := run.estimate) is not None:
                 errors[:, k] = own.velocity_percent, own.pressure_percent, own.extrapolated
             estimates = {f"{ERROR}{name}": each for name, each in run.measured_errors.items()}
+            estimates |= {
+                f"{ERROR}{name}": {f: np.full(len(time), error) for f, error in each.items()}
+                for name, each in run.oscillation_errors.items()
+            }
             own_values = run.measured | run.oscillations
             for name, quantities in (own_values | estimates).items():
                 stacked = measured.setdefault(name, {})

@@ -143,7 +143,7 @@ class Study:
         options : the command's own options: `workers` and `scheduler` of fom, map, rom, trade,
             sweep and train; `tolerance` of trade and train; `shard` and `collect` of sweep;
             `budget` and `write_case` of train; `measurements`, `noise` and `name` of fit; `to`,
-            `into` and `at` of export.
+            `into`, `at` and `columns` of export.
         """
         names = [name for name in stages.STAGES if name != "import"]
         name = stage.replace("_", "-")

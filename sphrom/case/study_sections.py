@@ -121,8 +121,10 @@ class TrainingSection(Section):
     tolerance: Percentage = key(
         "1%", "allowed error of the model: root mean square of the error over that of the field"
     )
-    quantity: Literal["velocity", "pressure", "both"] = key(
-        "velocity", "field whose error is limited"
+    quantity: Literal["auto", "velocity", "pressure", "both", "oscillation"] = key(
+        "auto",
+        "field whose error is limited, or the frequency and the amplitude of measured oscillations;"
+        " auto is oscillation for a model with calibrated: cycle if one is measured, else velocity",
     )
     budget: Annotated[Whole, Field(ge=2, le=N_CANDIDATES)] = key(
         8, "largest number of training runs, including existing ones"
@@ -146,8 +148,8 @@ class TrainingSection(Section):
 
     @property
     def fields(self) -> tuple[int, ...]:
-        """The indices of the limited fields: 0 for velocity, 1 for pressure."""
-        return {"velocity": (0,), "pressure": (1,), "both": (0, 1)}[self.quantity]
+        """The indices of the limited errors: 0 for velocity, 1 for pressure, 2 for oscillations."""
+        return {"pressure": (1,), "both": (0, 1), "oscillation": (2,)}.get(self.quantity, (0,))
 
 
 FULL = "full"

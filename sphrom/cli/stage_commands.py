@@ -328,7 +328,13 @@ def import_(
 def export(
     options: Options,
     to: Annotated[
-        str, option("FORMAT", "vtu: files for ParaView and a .pvd list; csv: histories at points.")
+        str,
+        option(
+            "FORMAT",
+            "vtu: files for ParaView and a .pvd list; csv: histories at points; model: trained "
+            "models as JSON for other programs; fmu: as units for system simulation; page: as "
+            "HTML pages that run them.",
+        ),
     ] = "vtu",
     into: Annotated[
         Path | None, option("DIR", "Folder to write to.  [default: export, beside the artifacts]")
@@ -336,15 +342,20 @@ def export(
     at: Annotated[
         list[str] | None, option("X,Y", "A point [m] for csv; may be repeated.  [default: a line]")
     ] = None,
+    columns: Annotated[
+        int | None, option("N", "Columns of the grid of a page's pictures.  [default: by size]")
+    ] = None,
 ) -> None:
-    """Export fields to files for ParaView and other programs.
+    """Export fields, or trained models, to files for other programs.
 
     All versions of ParaView open the .pvd files. Those of runs step through the snapshots, and
     pod.pvd steps through the modes. Fields that a run does not store are computed from its modes.
 
     \b
-    Example, all runs of a case, then histories at a point, then one model alone:
+    Example, all runs, histories at a point, the runs of a model, and the model:
       sphrom export cases/taylor_green_demo.yaml
       sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
       sphrom export cases/taylor_green_demo.yaml --only fast-m5 --into vtu
+      sphrom export cases/taylor_green_demo.yaml --only fast-m5 --to model
+      sphrom export cases/taylor_green_demo.yaml --only fast-m5 --to page
     """

@@ -157,10 +157,16 @@ class Answer:
                 continue
             errors = row.frequency_error, row.amplitude_error, row.phase_error
             frequency, amplitude, phase = (format_figure(error, DIGITS) for error in errors)
+            estimates = row.frequency_estimated, row.amplitude_estimated, row.phase_estimated
+            own = ""
+            if None not in estimates:
+                own = " (estimated: {} %, {} % and {} degrees)".format(
+                    *(format_figure(estimate, DIGITS) for estimate in estimates)
+                )
             yield (
                 f"The oscillation ({row.measured}) differs by {frequency} % in frequency, "
-                f"{amplitude} % in amplitude and, at the end, {phase} degrees in phase; all errors "
-                "over time include this phase."
+                f"{amplitude} % in amplitude and, at the end, {phase} degrees in phase{own}; all "
+                "errors over time include this phase."
             )
         yield from self.doubts
 

@@ -224,6 +224,7 @@ class _PointComparison:
                 compared=run.name,
                 parameters=self.point.label,
                 regime=run.regime,
+                estimates=estimates,
             )
         )
 

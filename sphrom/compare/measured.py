@@ -15,7 +15,7 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, read_record
-from sphrom.artifacts.records.runs import MeasuredOnce
+from sphrom.artifacts.records.runs import MeasuredOnce, OscillationEstimate
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import (
@@ -35,7 +35,7 @@ from sphrom.metrics.measures import (
     with_coefficients,
 )
 from sphrom.metrics.quantities import MEASURABLE, components, parts
-from sphrom.metrics.series import dominant_frequency, kinetic_energy, smoothed
+from sphrom.metrics.series import OSCILLATION, dominant_frequency, kinetic_energy, smoothed
 from sphrom.models.contract import Measured
 from sphrom.models.stored_run import StoredRun
 
@@ -90,7 +90,13 @@ def measured_estimates(case: Case, run: Artifact) -> Measured:
         stored = read_record(run, MeasuredOnce, f"error_estimate/measure/{name}")
         estimates[name] = stored.quantities
     factors = {n: f for n, f in case.plan.coefficients.items() if estimates[n]}
-    return with_coefficients(estimates, factors)
+    found = with_coefficients(estimates, factors)
+    for name in case.plan.oscillations:
+        path = f"error_estimate/oscillation/{name}"
+        if f"{path}/mean" in run.attributes:
+            figures = vars(read_record(run, OscillationEstimate, path))
+            found[name] = {f: np.array(error) for f, error in figures.items() if error is not None}
+    return found
 
 
 def measure_rows(
@@ -178,6 +184,12 @@ class OscillationRow:
     phase_error: float | None = field(default=None, metadata={"unit": "deg"})
     """Phase error at the end, positive if the run is ahead."""
     mean: float | None = None
+    mean_error: float | None = None
+    frequency_estimated: float | None = field(default=None, metadata={"unit": "%"})
+    """The model's own estimate of `frequency_error`; likewise the following ones."""
+    amplitude_estimated: float | None = field(default=None, metadata={"unit": "%"})
+    phase_estimated: float | None = field(default=None, metadata={"unit": "deg"})
+    mean_estimated: float | None = None
     remark: str = ""
     """Why there is no frequency and no amplitude."""
 
@@ -190,6 +202,7 @@ def oscillation_rows(
     compared: str,
     parameters: str,
     regime: str | None = None,
+    estimates: Measured | None = None,
 ) -> Iterator[OscillationRow]:
     """Yield the rows of a run beside the full run, which has no errors; steady ones have a mean."""
     for name, each in case.plan.oscillations.items():
@@ -197,6 +210,10 @@ def oscillation_rows(
             reference = None if own is full else full[each.measure]
             figures: dict[str, Any] = in_regime(regime, each.of(time, own[each.measure], reference))
             figures["remark"] = "" if "frequency" in figures else why_missing(regime)
+            for figure, error in (estimates or {}).get(name, {}).items():
+                # Errors of frequency and amplitude are relative.
+                size = 0.01 * figures.get(figure, 0.0) if figure in OSCILLATION[:2] else 1.0
+                figures[f"{figure}_estimated"] = float(error) / size if size > 0.0 else None
             yield OscillationRow(
                 measured=name,
                 unit=each.units,

@@ -27,19 +27,23 @@ from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.import_options import place
+from sphrom.models.contract import Model, model_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import rows_of_columns, write_csv
+from sphrom.portable import document, fmu, page
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.artifact_folder import Target, make_folder
 from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
+from sphrom.text import data_size
 from sphrom.whole_files import replacement
 
 FOLDER = "export"
 """Default folder of exported files, beside the artifacts."""
-FIELDS, PROBES = "vtu", "csv"
-"""The formats: fields for ParaView, and tables of histories at points."""
+FIELDS, PROBES, MODEL, UNIT, PAGE = "vtu", "csv", "model", "fmu", "page"
+"""Fields for ParaView, tables of histories at points, and trained models for other programs, as
+documents, as units for system simulation, or as pages that run them."""
 HEAD = {"time": "s", "x": "m", "y": "m", "velocity_x": "m/s", "velocity_y": "m/s", "pressure": "Pa"}
 """Columns of a run's table, with their units; the rows are all pairs of a time and a point."""
 POINTS = "reference_position"
@@ -72,22 +76,34 @@ def run(
     to: str = FIELDS,
     into: Path | None = None,
     at: Sequence[str] | None = None,
+    columns: int | None = None,
 ) -> None:
-    """Export all existing artifacts of a case that have fields.
+    """Export all existing artifacts of a case that have fields, or its trained models.
 
     With `to="csv"`, only runs are exported, at points `at` like `0.5,0.5`, or along the line.
+    `columns` is the number of columns of the pictures of a page.
 
     Raises ArtifactError when there is none, one does not belong to the case, or a file can't be
-    written; CaseError when the format is unknown, or a point is not in the fluid.
+    written; CaseError when the format is unknown, a point is not in the fluid, or a format can't
+    represent a model.
     """
-    if to not in (FIELDS, PROBES):
-        raise CaseError(f"--to: must be {FIELDS} or {PROBES}; got {to!r}")
+    formats: dict[str, Callable[[Workspace, Path], int]] = {
+        FIELDS: _write_all,
+        PROBES: partial(_write_tables, at=at or ()),
+        **MODELS,
+    }
+    if to not in formats:
+        raise CaseError(f"--to: must be one of {', '.join(formats)}; got {to!r}")
     if at and to != PROBES:
         raise CaseError(f"--at: needs --to {PROBES}")
+    if columns is not None:
+        if to != PAGE:
+            raise CaseError(f"--columns: needs --to {PAGE}")
+        show = partial(page.content, n_columns=columns)
+        formats[PAGE] = partial(_write_models, suffix=".html", content=show)
     workspace = Workspace(context)
     folder = into or context.out / FOLDER
-    write = _write_all if to == FIELDS else partial(_write_tables, at=at or ())
-    if write(workspace, folder) == 0:
+    if formats[to](workspace, folder) == 0:
         raise ArtifactError(
             f"{context.out}: has nothing to export; make runs with `sphrom run {context.words}`"
         )
@@ -271,3 +287,36 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
             write_csv(path, rows_of_columns(HEAD, rows))
             workspace.context.report.info(f"wrote {path}: {len(points)} points")
     return len(runs)
+
+
+def _write_models(
+    workspace: Workspace, folder: Path, suffix: str, content: Callable[[Model[Any]], bytes]
+) -> int:
+    """Write the selected trained models as files of one kind, and return their number.
+
+    Models that the kind can't represent are left out, unless the user names them.
+    """
+    context = workspace.context
+    n_written = 0
+    for section in context.chosen_models:
+        try:
+            written = content(model_of(workspace, section))
+        except CaseError as error:
+            if context.models:
+                raise
+            context.report.warn(str(error))
+            continue
+        path = folder / f"model-{section.name}{suffix}"
+        with replacement(path, force=context.force) as file:
+            file.write(written)
+        context.report.info(f"wrote {path}: {data_size(len(written))}")
+        n_written += 1
+    return n_written
+
+
+MODELS: Mapping[str, Callable[[Workspace, Path], int]] = {
+    MODEL: partial(_write_models, suffix=".json", content=document.content),
+    UNIT: partial(_write_models, suffix=".fmu", content=fmu.content),
+    PAGE: partial(_write_models, suffix=".html", content=page.content),
+}
+"""Functions that write trained models, by format."""

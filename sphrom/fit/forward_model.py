@@ -24,9 +24,10 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import FieldMeasure, Quantities, combined, items
 from sphrom.metrics.quantities import MEASURABLE, PLACED
+from sphrom.metrics.series import at_instants
 from sphrom.models.contract import Ability, Model
-from sphrom.models.points.basis_model import quantities_of
 from sphrom.models.points.fast_model import FastModel
+from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.sensitivities import STEP
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
@@ -158,12 +159,7 @@ class FittedModel:
 
     def at_instants(self, time: Array, histories: Array) -> Array:
         """Return histories (n_snapshots, n_histories, ...) at measured times, by cubic splines."""
-        instants = self._instants
-        if len(time) != len(instants) or not np.allclose(time, instants, rtol=0.0, atol=1e-12):
-            from scipy.interpolate import make_interp_spline
-
-            spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
-            histories = np.asarray(spline(np.clip(instants, time[0], time[-1])))
+        histories = at_instants(time, histories, self._instants)
         return histories[self._at, self._which]
 
 

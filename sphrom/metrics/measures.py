@@ -13,8 +13,10 @@ equal intervals, so that none is on the edges of a box, or twice on the two side
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,7 @@ from sphrom.metrics.series import (
     BELOW_ONSET,
     NO_OSCILLATION,
     OSCILLATION,
+    PHASE,
     STEADY,
     oscillation,
     oscillation_beside,
@@ -39,6 +42,8 @@ from sphrom.metrics.series import (
 
 Quantities = Mapping[str, Array]
 """The values of one measurement, by the names in `MEASURABLE`."""
+Measured = Mapping[str, Quantities]
+"""Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 
 TORQUE = 2
 """The row of the torque, after the components of the force."""
@@ -120,6 +125,8 @@ class Oscillating(Column):
 
     def units_of(self, figure: str) -> str:
         """Return the unit of a figure of the oscillation."""
+        if figure == PHASE:
+            return "deg"
         return "Hz" if figure.startswith("frequency") else self.units
 
     def of(self, time: Array, own: Quantities, full: Quantities | None = None) -> dict[str, float]:
@@ -151,7 +158,7 @@ class Oscillations(dict[str, Oscillating]):
 
 def in_regime(regime: str | None, figures: dict[str, float]) -> dict[str, float]:
     """Return the figures of an oscillation in a regime; a steady flow only has a mean."""
-    return {f: v for f, v in figures.items() if regime != STEADY or f == "mean"}
+    return {f: v for f, v in figures.items() if regime != STEADY or f.startswith("mean")}
 
 
 def why_missing(regime: str | None) -> str:
@@ -201,8 +208,15 @@ def of_a_run(quantities: Quantities) -> Quantities:
     return {f"final_{name}": values[-1] for name, values in quantities.items()}
 
 
-STATISTICS = ("last", "mean", "fluctuation", "least", "greatest")
-"""Statistics of a time series; the fluctuation is the root mean square about the mean."""
+STATISTICS: Mapping[str, Callable[..., Any]] = {
+    "last": partial(np.take, indices=-1),
+    "mean": np.mean,
+    "fluctuation": np.std,
+    "least": np.min,
+    "greatest": np.max,
+}
+"""Statistics of time series along an axis; the fluctuation is the root mean square about the mean.
+"""
 
 
 def statistics(quantities: Quantities, counted: Mask) -> dict[str, Array]:
@@ -214,10 +228,10 @@ def statistics(quantities: Quantities, counted: Mask) -> dict[str, Array]:
     named: dict[str, Array] = {}
     for quantity, values in quantities.items():
         for name, whole in components(quantity, values).items() if quantity in MEASURABLE else ():
-            named[f"{name}_last"], series = whole[:, -1], whole[:, counted]
+            named[f"{name}_last"] = whole[:, -1]
             if counted.any():
-                each = [series.mean(1), series.std(1), series.min(1), series.max(1)]
-                named |= {f"{name}_{s}": v for s, v in zip(STATISTICS[1:], each, strict=True)}
+                series = whole[:, counted]
+                named |= {f"{name}_{s}": of(series, axis=1) for s, of in STATISTICS.items()}
     return named
 
 

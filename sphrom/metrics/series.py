@@ -21,6 +21,10 @@ FEWEST_SAMPLES = 8
 """Fewest samples in a record with a spectrum."""
 OSCILLATION = ("frequency", "amplitude", "mean", "frequency_scatter", "amplitude_scatter")
 """Figures of an oscillation [Hz for frequencies, else the unit of the signal]."""
+PHASE = "phase"
+"""The phase at the end of a record, beside that of another one [deg]."""
+ESTIMATED = (*OSCILLATION[:3], PHASE)
+"""Figures of an oscillation with estimated errors."""
 PER_PERIOD = 64
 """Samples per period of a demodulated oscillation."""
 MOST_CORRECTIONS, CONVERGED = 30, 1e-13
@@ -66,6 +70,16 @@ def smoothed(values: Array, weights: Array) -> Array:
     shares = moving_average(np.pad(np.ones(len(values)), beside[0]), weights)
     sums = moving_average(np.pad(values, beside), weights)
     return sums / shares.reshape(-1, *(1,) * (values.ndim - 1))
+
+
+def at_instants(time: Array, values: Array, instants: Array) -> Array:
+    """Return values (n_snapshots, ...) at instants (n_instants,) [s], by cubic splines."""
+    if len(time) == len(instants) and np.allclose(time, instants, rtol=0.0, atol=1e-12):
+        return values
+    from scipy.interpolate import make_interp_spline  # importing it takes long
+
+    spline = make_interp_spline(time, values, k=min(3, len(time) - 1))
+    return np.asarray(spline(np.clip(instants, time[0], time[-1])))
 
 
 def kinetic_energy(velocity: Array, mass: Array | float) -> Array:
@@ -179,14 +193,17 @@ def demodulated(
 def oscillation_beside(time: Array, signal: Array, reference: Array) -> dict[str, float]:
     """Return the oscillation of a signal with its errors, if they exist.
 
-    `frequency_error` and `amplitude_error` are relative [%]. `phase_error` is the phase by which
-    the signal leads the reference at the end of the record [deg]; it accumulates over whole turns.
+    `frequency_error` and `amplitude_error` are relative [%], and `mean_error` has the signal's
+    unit. `phase_error` is the phase by which the signal leads the reference at the end of the
+    record [deg]; it accumulates over whole turns.
     """
     figures = oscillation(time, signal)
     expected = oscillation(time, reference)
     for figure in OSCILLATION[:2]:
         if figure in figures and expected.get(figure):
             figures[f"{figure}_error"] = 100.0 * abs(figures[figure] / expected[figure] - 1.0)
+    if "mean" in figures:
+        figures["mean_error"] = abs(figures["mean"] - expected["mean"])
     if "frequency_error" in figures:
         waves = [demodulated(time, x, expected["frequency"])[1] for x in (signal, reference)]
         angles = np.unwrap(np.angle(waves[0] * waves[1].conj()))

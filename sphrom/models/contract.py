@@ -9,7 +9,7 @@ its models, and `FAMILIES` is the list of all.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property, partial
@@ -23,7 +23,14 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import Quantities, Samples, mean_squares, shares, variations
+from sphrom.metrics.measures import (
+    Measured,
+    Quantities,
+    Samples,
+    mean_squares,
+    shares,
+    variations,
+)
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.workspace import Workspace
 
@@ -35,8 +42,6 @@ N_TIMED = 5
 """Number of timed repetitions of a run."""
 SURFACE = "surface"
 """The name of the elevation of a whole surface among measurements."""
-Measured = Mapping[str, Quantities]
-"""Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 BEST, ALONE = "best possible", "each field alone"
 """The rows of a comparison for the nearest states of a basis, and for the nearest fields."""
 At = TypeVar("At")
@@ -54,6 +59,7 @@ class Ability(Enum):
     EXTREMES = "maps of the ranges in which it is stable"
     MEMORY = "closures with a memory length"
     MODE_FIELDS = "modes that are fields on points"
+    PORTABLE = "files that other programs run"
 
 
 @dataclass(frozen=True)
@@ -104,6 +110,9 @@ class Family:
         - `compared(model, point, run, counted)` returns sums of squares (2,) of velocity and
           pressure over space, and over the times of a full run that `counted` chooses: of the
           errors of a run (zero if it is None), of those of the nearest states, and of the fields.
+          A fourth result is a function that returns the nearest states' measurements.
+        - `portable(model)` returns the arrays of a model for other programs, `mode_samples(model,
+          points)` the fields of the constant part of its states and of its modes.
         - `measured_at(workspace, point)` returns measurements of a mapped full run that are not
           among those of the case.
         """
@@ -134,6 +143,7 @@ _NO_SYSTEM = (
     "choose a model with evaluation: operators"
 )
 _NO_POLYNOMIAL = "is not for models of a free surface"
+_NOT_PORTABLE = "{model} has a free surface, and only systems of polynomials are exported"
 FAMILIES: Mapping[str, Family] = {
     "points": Family(
         kind="fast",
@@ -145,6 +155,8 @@ FAMILIES: Mapping[str, Family] = {
             "run_point": "points.runs:run_point",
             "compared": "points.mapped_errors:compared",
             "stored_run": "points.runs:CoordinateRun",
+            "portable": "points.portable:parts",
+            "mode_samples": "points.portable:mode_samples",
         },
         lacks={},
     ),
@@ -162,6 +174,7 @@ FAMILIES: Mapping[str, Family] = {
             Ability.SENSITIVITIES: _NO_SYSTEM,
             Ability.OTHER_TIMES: "needs a model on the reference points",
             Ability.TRAINING: "needs a model with evaluation: operators",
+            Ability.PORTABLE: _NO_SYSTEM,
         },
         costs_alike=True,
     ),
@@ -187,6 +200,7 @@ FAMILIES: Mapping[str, Family] = {
             Ability.EXTREMES: "maps no models of a free surface",
             Ability.MEMORY: "models of a free surface have no memory",
             Ability.MODE_FIELDS: "models of a free surface need no splines of modes",
+            Ability.PORTABLE: _NOT_PORTABLE,
         },
     ),
 }
@@ -239,6 +253,10 @@ class Model(ABC, Generic[At]):
     @abstractmethod
     def run(self, point: ParameterPoint, reduced: At | None = None) -> ModelRun:
         """Run the model at a parameter point; `reduced` may have other output times."""
+
+    def runs(self, points: Sequence[ParameterPoint]) -> Iterator[ModelRun]:
+        """Run the model at many points, one after the other."""
+        return map(self.run, points)
 
     def runner(self, point: ParameterPoint) -> Callable[[], object]:
         """Return a function that makes one run at a parameter point, without preparing it."""
@@ -354,6 +372,14 @@ class ModelRun(ABC):
     @property
     def measured_errors(self) -> Mapping[str, Quantities]:
         """The estimated errors of all measurements (n_snapshots, ...); empty without estimates."""
+        return {}
+
+    @property
+    def oscillation_errors(self) -> Mapping[str, Mapping[str, float]]:
+        """The estimated errors of oscillations, by name and figure, and of the phase at the end.
+
+        Those of oscillations without an estimate are missing.
+        """
         return {}
 
     @property

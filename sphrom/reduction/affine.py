@@ -12,6 +12,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from sphrom.arrays import Array
 from sphrom.declaration import Tensors
 
@@ -55,19 +57,24 @@ class Affine:
     """The tensors of a part may end before those of earlier ones, and so may their last axes: the
     rest of them is zero."""
 
-    def at(self, values: Mapping[str, float]) -> tuple[Tensors, ...]:
-        """Return the tensors of the sum, by power 0, 1, ... of the amplitude."""
+    def at(self, values: Mapping[str, float | Array]) -> tuple[Tensors, ...]:
+        """Return the tensors (..., n, ...) of the sum, by power 0, 1, ... of the amplitude.
+
+        Values of the parameters may have axes (...), such as one of runs.
+        """
+        ones = np.ones(np.broadcast_shapes(*map(np.shape, values.values())))
         powers = list[list[Array]]()
         for factor, tensors in self.parts:
             power = factor.count(AMPLITUDE)
-            value = math.prod(values[name] for name in factor if name != AMPLITUDE)
+            value = math.prod((values[name] for name in factor if name != AMPLITUDE), start=ones)
             powers += [[] for _ in range(len(powers), power + 1)]
             total = powers[power]
             for degree, tensor in enumerate(tensors):
+                term = np.multiply.outer(value, tensor)
                 if degree == len(total):
-                    total.append(value * tensor)
-                elif tensor.shape == total[degree].shape:
-                    total[degree] += value * tensor
+                    total.append(term)
+                elif term.shape == total[degree].shape:
+                    total[degree] += term
                 else:
-                    total[degree][..., : tensor.shape[-1]] += value * tensor
+                    total[degree][..., : tensor.shape[-1]] += term
         return tuple(map(tuple, powers))

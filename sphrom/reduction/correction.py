@@ -30,6 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -136,16 +137,25 @@ class Correction(Record):
     )
 
     def at(self, place: Array) -> Array:
-        """Return the correction (n_snapshots, n_modes) at a place (n_parameters,)."""
-        between = _distances(self.places, self.places)
-        reach = _distances(self.places, place[None])[:, 0]
-        correction = np.zeros(self.defects.shape[1:])
-        modes = self.lengths > 0.0
-        lengths = self.lengths[modes, None]
-        alike = np.exp(-between / lengths[..., None]), np.exp(-reach / lengths)[..., None]
-        weights = np.linalg.solve(*alike)[..., 0]
-        correction[:, modes] = np.einsum("mk,ksm->sm", weights, self.defects[..., modes])
+        """Return the correction (..., n_snapshots, n_modes) at places (..., n_parameters)."""
+        reach = np.linalg.norm(self.places - place[..., None, :], axis=-1)[..., None]
+        correction = np.zeros((*place.shape[:-1], *self.defects.shape[1:]))
+        for modes, length, alike, defects in self._groups:
+            weights = np.linalg.solve(alike, np.exp(-reach / length)).swapaxes(-1, -2)
+            added = (weights @ defects).reshape(*correction.shape[:-1], len(modes))
+            correction[..., modes] = added
         return correction
+
+    @cached_property
+    def _groups(self) -> list[tuple[Indices, float, Array, Array]]:
+        """The modes of each correlation length, the length, K, and the defects as rows."""
+        between = _distances(self.places, self.places)
+        found = []
+        for length in np.unique(self.lengths[self.lengths > 0.0]).tolist():
+            modes = np.flatnonzero(self.lengths == length)
+            rows = self.defects[..., modes].reshape(len(self.defects), -1)
+            found.append((modes, length, np.exp(-between / length), rows))
+        return found
 
     def held_out(self, place: Array) -> Array:
         """Return a training run's correction (n_snapshots, n_modes) from the other runs."""

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphrom.arrays import Array, Indices
+from sphrom.arrays import Array, Indices, Mask
 from sphrom.declaration import Record, attribute, dataset, labelled, part
 from sphrom.metrics.quantities import MEASURABLE
 from sphrom.metrics.series import hat, smoothed
@@ -82,60 +82,69 @@ class ErrorCalibration(Record):
     shares: ChangeShares = part()
 
     def at(self, place: Array) -> LocalErrorCalibration:
-        """Return the calibration at a parameter point (n_parameters,)."""
-        weights, distance = interpolation_weights(self.places, place)
+        """Return the calibration at a parameter point (..., n_parameters)."""
+        rows = place.reshape(-1, place.shape[-1])
+        found = [interpolation_weights(self.places, row) for row in rows]
+        weights = np.reshape([w for w, _ in found], (*place.shape[:-1], -1))
+        distance = np.reshape([d for _, d in found], place.shape[:-1])
         logarithms = np.log(self.constants)
         largest = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
         # Beyond the hull of the training points the constants may keep changing.
-        share = min(1.0, distance / largest) if largest > 0.0 else 0.0
+        share = np.minimum(1.0, distance / (largest or np.inf))[..., None]
         return LocalErrorCalibration(
             decay_rate=self.decay_rate,
-            constants=np.exp(weights @ logarithms + share * np.ptp(logarithms, axis=0)),
-            factors=None if distance > 0.0 else self.factors,
-            expected=np.tensordot(weights, self.coordinates, 1),
+            constants=np.exp(_weighted(weights, logarithms) + share * np.ptp(logarithms, axis=0)),
+            factors=None if (distance > 0.0).all() else self.factors,
+            outside=distance > 0.0,
+            expected=_weighted(weights, self.coordinates),
             of_parameters=self.shares.parameters,
-            of_time=np.tensordot(weights, self.shares.time, 1),
+            of_time=_weighted(weights, self.shares.time),
         )
 
 
 @dataclass(frozen=True)
 class LocalErrorCalibration:
-    """A calibration at one parameter point."""
+    """A calibration at one parameter point, or at those of runs along the first axes (...)."""
 
     decay_rate: float
     constants: Array
-    """C (2,)."""
+    """C (..., 2)."""
     factors: Array | None
     """None outside the training points, where they are unknown."""
+    outside: Mask
+    """(...) whether a point is outside the training points."""
     expected: Array
-    """(n_snapshots, n_modes) coordinates interpolated from the training runs."""
+    """(..., n_snapshots, n_modes) coordinates interpolated from the training runs."""
     of_parameters: Array
     """(2,) share of changes with the parameters."""
     of_time: Array
-    """(2,) share of changes with time."""
+    """(..., 2) share of changes with time."""
 
-    def extrapolates(self, n_snapshots: int) -> bool:
-        """Return whether a run is outside the training points or longer than the training runs."""
-        return self.factors is None or n_snapshots > len(self.expected)
+    def extrapolates(self, n_snapshots: int) -> Mask:
+        """Return whether runs are outside the training points or longer than the training runs."""
+        return self.outside | (n_snapshots > self.expected.shape[-2])
 
     def changes(self, coordinates: Array) -> Array:
-        """Return distances (n_snapshots, 2) from training states: with parameters, with time."""
-        last = min(len(coordinates), len(self.expected)) - 1
-        reached = np.minimum(np.arange(len(coordinates)), last)
-        by_parameters = coordinates[reached] - self.expected[reached]
-        by_time = coordinates - coordinates[reached]
-        return np.stack([np.linalg.norm(part, axis=1) for part in (by_parameters, by_time)], axis=1)
+        """Return distances (..., n_snapshots, 2) from training states: with parameters and time."""
+        n_snapshots = coordinates.shape[-2]
+        last = min(n_snapshots, self.expected.shape[-2]) - 1
+        reached = np.minimum(np.arange(n_snapshots), last)
+        by_parameters = coordinates[..., reached, :] - self.expected[..., reached, :]
+        by_time = coordinates - coordinates[..., reached, :]
+        sizes = [np.linalg.norm(part, axis=-1) for part in (by_parameters, by_time)]
+        return np.stack(sizes, axis=-1)
 
     def errors(self, time: Array, residual: Array, coordinates: Array) -> Array:
-        """Return the estimated root mean square errors (n_snapshots, 2) [m/s] along a run.
+        """Return the estimated root mean square errors (..., n_snapshots, 2) [m/s] along runs.
 
-        Its snapshots have the interval of the training runs; the run may be longer.
+        Their snapshots have the interval of the training runs; the runs may be longer.
         """
-        known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
-        sizes = np.linalg.norm(coordinates, axis=1)
-        trained = np.linalg.norm(self.expected, axis=1)
-        growth = np.maximum(1.0, sizes / (trained.max() or 1.0))
-        time_shares = growth[:, None] ** 2 * self.of_time
+        integral = accumulated(time, residual, self.decay_rate)[..., None]
+        known = integral * self.constants[..., None, :]
+        sizes = np.linalg.norm(coordinates, axis=-1)
+        largest = np.linalg.norm(self.expected, axis=-1).max(axis=-1, keepdims=True)
+        growth = np.maximum(1.0, sizes / np.where(largest > 0.0, largest, 1.0))
+        time_shares = growth[..., None] ** 2 * self.of_time[..., None, :]
         return self._combined(known, self.changes(coordinates), time_shares)
 
     def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
@@ -152,9 +161,15 @@ class LocalErrorCalibration:
         return self._combined(known[None], later[None], shares)[0]
 
     def _combined(self, known: Array, changes: Array, time_shares: Array) -> Array:
-        by_parameters = changes[:, :1] * self.of_parameters
-        by_time = changes[:, 1:] * time_shares
+        by_parameters = changes[..., :1] * self.of_parameters
+        by_time = changes[..., 1:] * time_shares
         return np.asarray(np.sqrt(known**2 + by_parameters**2 + by_time**2))
+
+
+def _weighted(weights: Array, values: Array) -> Array:
+    """Return sums (..., *shape) of values (n_runs, *shape) with weights (..., n_runs)."""
+    sums = weights[..., None, :] @ values.reshape(len(values), -1)
+    return np.asarray(sums.reshape(*weights.shape[:-1], *values.shape[1:]))
 
 
 def compared_snapshots(n_snapshots: int) -> Indices:

@@ -182,7 +182,7 @@ class ExponentialModel(PolynomialModel):
 
     def __init__(self, polynomial: Polynomial, linear: LinearPart) -> None:
         super().__init__(polynomial)
-        self._linear = linear
+        self.linear = linear
         self._coefficients[0, :, 1 : 1 + len(linear.matrix)] -= linear.matrix
 
     def steps_taken(self, n_steps: int, output_times: OutputTimes) -> int:
@@ -197,7 +197,7 @@ class ExponentialModel(PolynomialModel):
     def _integrate(
         self, n_steps: int, output_times: OutputTimes, driven: Driven, out: Array
     ) -> int:
-        matrices, ratio = self._method(n_steps, output_times)
+        matrices, ratio = self.method(n_steps, output_times)
         return _compiled()(
             *driven, *matrices, ratio.n_steps(len(out) - 1),
             ratio.steps_per_snapshot, self._degree, output_times.largest_square,
@@ -224,7 +224,7 @@ class ExponentialModel(PolynomialModel):
         """
         from sphrom.kernels import tangent  # few commands need it
 
-        matrices, ratio = self._method(n_steps, output_times)
+        matrices, ratio = self.method(n_steps, output_times)
         taken = ratio.n_steps(output_times.n_snapshots - 1)
         start_time = output_times.start_time
         time_step = ratio.time_step(output_times.interval)
@@ -252,7 +252,7 @@ class ExponentialModel(PolynomialModel):
         )  # fmt: skip
         return out[0], out[1:]
 
-    def _method(self, n_steps: int, output_times: OutputTimes) -> tuple[Matrices, StepRatio]:
+    def method(self, n_steps: int, output_times: OutputTimes) -> tuple[Matrices, StepRatio]:
         """Return the matrices of a run's steps, and the ratio of steps to snapshots."""
         ratio = StepRatio.of(n_steps, output_times.n_snapshots - 1)
-        return self._linear.steps(output_times.interval, ratio), ratio
+        return self.linear.steps(output_times.interval, ratio), ratio

@@ -138,15 +138,17 @@ class FieldProducts(Record):
         return _root(self.squares[run] - 2.0 * products + self._squares_of(factors))
 
     def sizes(self, coordinates: Array) -> Array:
-        """Return the root mean squares (n_states, 2) of the states with these coordinates."""
+        """Return the root mean squares (..., n_states, 2) of states (..., n_states, n_modes)."""
         return _root(self._squares_of(self._factors(coordinates)))
 
     def _factors(self, coordinates: Array) -> Array:
-        constant = np.ones((len(coordinates), self.gram.shape[1] - coordinates.shape[1]))
-        return np.concatenate((coordinates, constant), axis=1)
+        n_constant = self.gram.shape[1] - coordinates.shape[-1]
+        constant = np.ones((*coordinates.shape[:-1], n_constant))
+        return np.concatenate((coordinates, constant), axis=-1)
 
     def _squares_of(self, factors: Array) -> Array:
-        return np.sum((factors @ self.gram) * factors, axis=-1).T
+        each = factors[..., None, :, :]
+        return np.sum((each @ self.gram) * each, axis=-1).swapaxes(-1, -2)
 
 
 def _root(squares: Array) -> Array:

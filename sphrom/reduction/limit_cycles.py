@@ -37,109 +37,36 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Record, attribute, dataset
-from sphrom.metrics.series import SHEDDING, STEADY, UNDECIDED, dominant_frequency
+from sphrom.metrics.series import SHEDDING, STEADY, UNDECIDED
 from sphrom.reduction.correction import spline_weights
+from sphrom.reduction.cycle_fits import (
+    N_PHASES,
+    ORDERS,
+    PHASES,
+    Harmonics,
+    LimitCycle,
+    around,
+    harmonics_of,
+)
 from sphrom.reduction.reduced_measures import PointForce
 from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators
 from sphrom.sph.fluid import NONE, Factors
 
-Harmonics = NDArray[np.complex128]
-"""A_k (1 + N_HARMONICS, n_values)."""
-
-N_HARMONICS = 4
-ORDERS = np.arange(1 + N_HARMONICS)
-N_PHASES = 64
-"""Number of phases of a cycle at which rates are fitted."""
-PHASES = 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES
-PERIODIC = 0.9
-"""Least share of a run's fluctuations that the harmonics have to explain."""
-DECAYS = 0.9
-"""Amplitude in the second half of a record over that in the first, below which it decays."""
 RIDGE = 1e-4
 """Penalty of fits, over the mean square of a direction in which the cycle moves."""
 TRENDS = (-0.25, 0.25)
 """Powers of the viscosity with which the Landau coefficient may change."""
 FARTHEST = 100.0
 """Largest viscosity at which the onset is looked for, over that of the training runs."""
+ROUNDING = 1e-9
+"""Largest error of comparable parameters that weights reproduce."""
 N_HALVINGS = 50
 """Halvings of the interval that contains the onset; the last one is at rounding."""
 DAMPINGS = (0.0, 0.0625, 0.125, 0.25, 0.5, 1.0)
 """Candidate damping rates over omega."""
-
-
-@dataclass(frozen=True)
-class LimitCycle:
-    """A periodic state in generalized coordinates."""
-
-    frequency: float
-    """omega [rad/s]."""
-    harmonics: Harmonics
-    """Of the coordinates."""
-
-    @property
-    def states(self) -> Array:
-        """(N_PHASES, n_modes), at equally spaced phases."""
-        return around(self.harmonics)
-
-    @property
-    def rates(self) -> Array:
-        """(N_PHASES, n_modes), the time derivatives of the states [1/s]."""
-        return around(1j * self.frequency * ORDERS[:, None] * self.harmonics)
-
-
-def around(harmonics: Harmonics) -> Array:
-    """Return values (N_PHASES, n_values) at equally spaced phases."""
-    return np.asarray((np.exp(1j * np.outer(PHASES, ORDERS)) @ harmonics).real)
-
-
-def harmonics_of(time: Array, values: Array, frequency: float) -> Harmonics:
-    """Return the harmonics of values (n_times, n_values) at a frequency [rad/s]."""
-    turns = frequency * np.outer(time, ORDERS)
-    waves = np.hstack((np.cos(turns), np.sin(turns[:, 1:])))
-    fitted = np.linalg.lstsq(waves, values)[0].astype(np.complex128)
-    fitted[1 : len(ORDERS)] -= 1j * fitted[len(ORDERS) :]
-    return fitted[: len(ORDERS)]
-
-
-def fitted_cycle(time: Array, states: Array) -> LimitCycle:
-    """Return the cycle of a run's coordinates (n_snapshots, n_modes).
-
-    Raises ValueError if the run is too short, not periodic, or its oscillation decays.
-    """
-    from scipy.optimize import minimize_scalar  # few models need it
-
-    moved = states - states.mean(axis=0)
-    leading = moved @ np.linalg.svd(moved, full_matrices=False)[2][0]
-    first = 2.0 * math.pi * dominant_frequency(time, leading)
-
-    def missed(frequency: float) -> float:
-        harmonics = harmonics_of(time, states, frequency)
-        waves = np.exp(1j * frequency * np.outer(time, ORDERS))
-        return float(np.sum((states - (waves @ harmonics).real) ** 2))
-
-    step = 0.1 * math.pi / float(time[-1] - time[0])
-    frequency = float(minimize_scalar(missed, bracket=(first - step, first + step)).x)
-    explained = 1.0 - missed(frequency) / float(np.sum(moved**2))
-    if not explained > PERIODIC:
-        raise ValueError(
-            f"is not periodic: harmonics of {frequency / (2.0 * math.pi):.4g} Hz explain "
-            f"{100.0 * explained:.0f} % of its fluctuations"
-        )
-    middle = len(time) // 2
-    first, last = (
-        float(np.linalg.norm(harmonics_of(time[half], states[half], frequency)[1]))
-        for half in (slice(middle), slice(middle, None))
-    )
-    if last < DECAYS * first:
-        raise ValueError(
-            f"is not periodic: its oscillation decays, by {100.0 * (1.0 - last / first):.0f} % "
-            "from the first half of the record to the second, so the flow may be steady there"
-        )
-    return LimitCycle(frequency, harmonics_of(time, states, frequency))
 
 
 class TrainedCycles(Record):
@@ -229,26 +156,59 @@ class CycleClosure:
             *((runs, squares * trend / trend.max()) for trend in trends),
         ]
 
-    def _weights(self, viscosity: float, factors: Factors, runs: Indices | None = None) -> Array:
+    def _places(
+        self, viscosity: float, factors: Factors, runs: Indices | None = None, power: float = 1.0
+    ) -> tuple[Array, Array]:
+        """Return comparable parameters of all training runs, or of some, and of a point.
+
+        The viscosity enters by a power.
+        """
+        highest = self.trained.viscosities.max()
+        sizes = {name: np.abs(x).max() or 1.0 for name, x in self.trained.values.items()}
+
+        def scaled(nu: float, values: Factors) -> list[float]:
+            return [(nu / highest) ** power, *(values[n] / size for n, size in sizes.items())]
+
+        trained = np.array([scaled(nu, values) for nu, values in self.trained.points])
+        return trained if runs is None else trained[runs], np.array(scaled(viscosity, factors))
+
+    def _weights(
+        self,
+        viscosity: float,
+        factors: Factors,
+        runs: Indices | None = None,
+        power: float = 1.0,
+    ) -> Array:
         """Return the weights of all training runs, or of some, in the value at a point.
 
         Beyond their viscosities, the value at the nearest one is continued with the slope of the
         line that fits all runs. The slope at the end of a spline depends on differences of two
         neighbours.
         """
-        highest = self.trained.viscosities.max()
-        sizes = {name: np.abs(x).max() or 1.0 for name, x in self.trained.values.items()}
-
-        def scaled(nu: float, values: Factors) -> list[float]:
-            return [nu / highest, *(values[name] / size for name, size in sizes.items())]
-
-        trained = np.array([scaled(nu, values) for nu, values in self.trained.points])
-        used = trained if runs is None else trained[runs]
-        place = np.array(scaled(viscosity, factors))
+        used, place = self._places(viscosity, factors, runs, power)
         beyond = place[0] - np.clip(place[0], used[:, 0].min(), used[:, 0].max())
         place[0] -= beyond
         slopes = np.linalg.pinv(used - used.mean(axis=0))[0]
         return np.asarray(spline_weights(used, place) + beyond * slopes)
+
+    def distance(self, viscosity: float, factors: Factors, runs: Indices | None = None) -> float:
+        """Return the error of interpolating from all training runs, or some, up to a factor.
+
+        It is the standard deviation at a point of an integrated Wiener process that is known at the
+        runs, whose best estimate is the natural cubic spline (Kimeldorf and Wahba 1970). It is zero
+        if the runs don't determine a linear function.
+        """
+        used, place = self._places(viscosity, factors, runs)
+        weights = self._weights(viscosity, factors, runs)
+        if not np.allclose(weights @ used, place, rtol=0.0, atol=ROUNDING):
+            return 0.0
+        cubes = np.linalg.norm(used[:, None] - np.vstack((used, place)), axis=2) ** 3
+        return math.sqrt(max(0.0, weights @ (cubes[:, :-1] @ weights - 2.0 * cubes[:, -1])))
+
+    def laws(self, viscosity: float, factors: Factors) -> tuple[Array, Array]:
+        """Return the weights (n_runs,) of figures that are linear in nu, and of those in 1/nu."""
+        weights = self._weights(viscosity, factors)
+        return weights, self._weights(viscosity, factors, power=-1.0)
 
     def _square(self, viscosity: float, factors: Factors, estimate: int = 0) -> float:
         """Return r^2 over the largest of the training runs; negative below the onset."""

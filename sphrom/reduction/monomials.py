@@ -8,10 +8,10 @@ from sphrom.arrays import Array, Indices
 
 
 def monomials(states: Array) -> Array:
-    """Return the monomials (n_states, n_monomials) of coordinates, up to the second degree."""
-    first, second = np.triu_indices(states.shape[1])
-    ones = np.ones((len(states), 1))
-    return np.concatenate((ones, states, states[:, first] * states[:, second]), axis=1)
+    """Return the monomials (..., n_monomials) of coordinates (..., n_modes), up to degree two."""
+    first, second = np.triu_indices(states.shape[-1])
+    ones = np.ones((*states.shape[:-1], 1))
+    return np.concatenate((ones, states, states[..., first] * states[..., second]), axis=-1)
 
 
 def monomials_of(modes: Indices, n_modes: int) -> Indices:

@@ -166,7 +166,10 @@ class OwnPressure(Record):
         found = Polynomial(self._affine.at({VISCOSITY: kinematic_viscosity, **factors}))
         if self.ridge is not None:
             found = found.plus(self.ridge.at(kinematic_viscosity, factors))
-        change = (tuple(np.tensordot(self.rates, t, 1) for t in power) for power in rates.powers)
+        change = (
+            tuple(_applied(self.rates, tensor, degree) for degree, tensor in enumerate(power))
+            for power in rates.powers
+        )
         return found.plus(Polynomial(tuple(change)), -1.0)
 
     def along(self, run: TrainingRun) -> Array:
@@ -174,6 +177,13 @@ class OwnPressure(Record):
         amplitude = np.zeros(len(run.coordinates)) if run.amplitude is None else run.amplitude
         found = self.at(run.rates, run.kinematic_viscosity, run.factors)
         return found.along(run.coordinates, amplitude)
+
+
+def _applied(matrix: Array, tensor: Array, degree: int) -> Array:
+    """Return a matrix (n_rows, n) times tensors (..., n, ...) of a degree."""
+    split = tensor.ndim - degree
+    rows = tensor.reshape(*tensor.shape[:split], -1)
+    return (matrix @ rows).reshape(*tensor.shape[: split - 1], -1, *tensor.shape[split:])
 
 
 def fitted(

@@ -142,10 +142,10 @@ class ReducedForce(Record):
         if self.balance is not None:
             momentum[:3] = -self.balance.follows[:, None] * self.balance.momentum
         powers = tuple(
-            (terms[:, 0], terms[:, N_OTHER_TERMS:], *quadratic)
+            (terms[..., 0], terms[..., N_OTHER_TERMS:], *quadratic)
             for terms, *quadratic in (steady, driven)
         )
-        uniform = np.stack((steady[0][:, 1], driven[0][:, 1]))
+        uniform = np.stack((steady[0][..., 1], driven[0][..., 1]), axis=-2)
         return PointForce(Polynomial(powers), momentum, uniform, correction, self.own)
 
     @property
@@ -198,22 +198,26 @@ class TimedLoads:
     time: Array
     """(n_times,) [s]."""
     loads: Array
-    """(n_times, 6), those of the pressure, then the viscous ones [N/m, N]."""
+    """(..., n_times, 6), those of the pressure, then the viscous ones [N/m, N]."""
 
     @classmethod
     def of(cls, time: Array, loads: Array) -> TimedLoads:
-        """Return the sum of slow and fast loads (n_snapshots, 12) at times (n_snapshots,).
+        """Return the sum of slow and fast loads (..., n_snapshots, 12) at times (n_snapshots,).
 
         After the last time it is constant: the mean of the later half.
         """
-        total = loads[:, :6] + loads[:, 6:]
+        total = loads[..., :6] + loads[..., 6:]
         after = 2.0 * time[-1] - time[-2]
-        mean = total[len(total) // 2 :].mean(axis=0)
-        return cls(np.append(time, after), np.vstack((total, mean)))
+        mean = total[..., len(time) // 2 :, :].mean(axis=-2, keepdims=True)
+        return cls(np.append(time, after), np.concatenate((total, mean), axis=-2))
 
     def at(self, time: Array) -> Array:
-        """Return the loads (n_times, 6) at times [s]."""
-        return np.stack([np.interp(time, self.time, load) for load in self.loads.T], axis=1)
+        """Return the loads (..., n_times, 6) at times (n_times,) [s], linear in between."""
+        within = np.clip(time, self.time[0], self.time[-1])
+        after = np.clip(np.searchsorted(self.time, within), 1, len(self.time) - 1)
+        start = self.time[after - 1]
+        share = ((within - start) / (self.time[after] - start))[:, None]
+        return (1.0 - share) * self.loads[..., after - 1, :] + share * self.loads[..., after, :]
 
 
 @dataclass(frozen=True)
@@ -225,7 +229,7 @@ class PointForce:
     momentum: Array
     """(6, n_modes), the factors of the coordinates' rates."""
     uniform: Array
-    """(2, 6) factors of the mean density fluctuation: alone, times the amplitude [m3/s2, m4/s2]."""
+    """(..., 2, 6) factors of the mean density fluctuation: alone [m3/s2], times the amplitude."""
     correction: TimedLoads | None = None
     own: Array | None = None
     """(3, n_own_modes) factors of the coordinates of own pressure modes, if they add loads."""
@@ -239,7 +243,9 @@ class PointForce:
         mean: Array | float = 0.0,
         own: Array | None = None,
     ) -> Array:
-        """Return the pressure and the viscous force and torque (n_states, 2, 3) [N/m, N].
+        """Return the pressure and the viscous force and torque (..., n_states, 2, 3) [N/m, N].
+
+        Arrays of many runs have a first axis of runs.
 
         Parameters
         ----------
@@ -250,14 +256,15 @@ class PointForce:
             the last modes may be left out.
         """
         loads = self.polynomial.along(coordinates, amplitude) + rates @ self.momentum.T
-        by_mean = self.uniform[0] + amplitude[:, None] * self.uniform[1]
-        loads += np.broadcast_to(mean, amplitude.shape)[:, None] * by_mean
+        alone, driven = np.moveaxis(self.uniform[..., None, :], -3, 0)
+        by_mean = alone + amplitude[..., None] * driven
+        loads += np.broadcast_to(mean, amplitude.shape)[..., None] * by_mean
         if self.own is not None:
             assert own is not None
-            loads[:, :3] += own @ self.own[:, : own.shape[1]].T
+            loads[..., :3] += own @ self.own[:, : own.shape[-1]].T
         if self.correction is not None:
             loads += self.correction.at(time)
-        return loads.reshape(-1, 2, 3)
+        return loads.reshape(*amplitude.shape, 2, 3)
 
 
 def _kept_terms(modes: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -280,18 +287,20 @@ class ReducedMeasure(Record):
         return self.mapped(lambda terms: terms[..., kept])
 
     def at(self, coordinates: Array, mean_density_fluctuation: Array | float) -> Quantities:
-        """Return the measured quantities (n_states, ...) of states, by name.
+        """Return the measured quantities (..., n_states, ...) of states, by name.
 
         Parameters
         ----------
-        coordinates : (n_states, n_modes); those of the last modes may be left out.
-        mean_density_fluctuation : (n_states,) or one for all [kg/m3].
+        coordinates : (..., n_states, n_modes); those of the last modes may be left out.
+        mean_density_fluctuation : (..., n_states) or one for all [kg/m3].
         """
-        n_states = len(coordinates)
-        mean = np.broadcast_to(mean_density_fluctuation, n_states)
-        terms = np.column_stack((np.ones(n_states), mean, coordinates))
+        states = coordinates.shape[:-1]
+        ones = np.ones(states)
+        mean = np.broadcast_to(mean_density_fluctuation, states)
+        terms = np.concatenate((np.stack((ones, mean), axis=-1), coordinates), axis=-1)
+        n_terms = terms.shape[-1]
         return {
-            name: np.tensordot(terms, q[..., : terms.shape[1]], (1, -1))
+            name: (terms @ q[..., :n_terms].reshape(-1, n_terms).T).reshape(states + q.shape[:-1])
             for name, q in self.quantities.items()
         }
 

@@ -31,6 +31,7 @@ Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree
 Rates at fixed parameters are a `Polynomial`; with a closure it is of the third degree. Its
 coefficients may change in time through the powers of one amplitude, such as that of a body force.
 Tensors of degree d are (n_modes, ...) with d trailing axes of n_modes, in which they are symmetric.
+Those of many runs have a first axis of runs, and so have states and amplitudes.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ class Polynomial:
     @property
     def n_modes(self) -> int:
         """Number of coordinates."""
-        return self.powers[0][0].size
+        return int(self.powers[0][0].shape[-1])
 
     @property
     def degree(self) -> int:
@@ -99,10 +100,10 @@ class Polynomial:
         return self.along(coordinates[None], np.array([amplitude]))[0]
 
     def along(self, states: Array, amplitudes: Array) -> Array:
-        """Return the rates (n_states, n_modes) [1/s] at states with an amplitude each."""
-        rates = np.zeros((len(states), self.n_modes))
+        """Return the rates (..., n_states, n_modes) [1/s] at states with an amplitude each."""
+        rates = np.zeros((*states.shape[:-1], self.n_modes))
         for power, terms in enumerate(self.powers):
-            factors = amplitudes[:, None] ** power
+            factors = amplitudes[..., None] ** power
             for degree, tensor in enumerate(terms):
                 rates += factors * _contracted_with_each(tensor, states, degree)
         return rates
@@ -155,12 +156,16 @@ class Polynomial:
 
 
 def _contracted_with_each(tensor: Array, states: Array, times: int) -> Array:
-    """Return a tensor (n, ...) contracted with every state (n_states, n_modes)."""
+    """Return a tensor (..., n, ...) contracted with every state (..., n_states, n_modes)."""
+    runs = tensor.shape[: tensor.ndim - 1 - times]
+    rows = tensor.shape[len(runs) : tensor.ndim - 1]
     if times == 0:
-        return tensor[None]
-    contracted = (states @ tensor.reshape(-1, states.shape[1]).T).reshape(-1, *tensor.shape[:-1])
+        return tensor[..., None, :]
+    columns = tensor.reshape((*runs, -1, states.shape[-1])).swapaxes(-1, -2)
+    contracted = (states @ columns).reshape(states.shape[:-1] + rows)
     for _ in range(times - 1):
-        contracted = np.einsum("s...j,sj->s...", contracted, states)
+        along = states.reshape(*states.shape[:-1], *(1,) * (contracted.ndim - states.ndim), -1)
+        contracted = np.einsum("...j,...j->...", contracted, along)
     return np.asarray(contracted)
 
 
@@ -379,8 +384,8 @@ class ResidualFactor(_Parts):
         folded = dict(zip(self.by_part, np.split(triangle, ends[:-1], axis=1), strict=True))
         return self.of_parts(folded, self.drives, walls_driven=self.walls_driven)
 
-    def at(self, kinematic_viscosity: float, factors: Factors = NONE) -> tuple[Array, ...]:
-        """Return F (n_directions, n_monomials) by power of the amplitude."""
+    def at(self, kinematic_viscosity: float | Array, factors: Factors = NONE) -> tuple[Array, ...]:
+        """Return F (..., n_directions, n_monomials) by power of the amplitude."""
         powers = self._affine.at({VISCOSITY: kinematic_viscosity, **factors})
         return tuple(factor for (factor,) in powers)
 
@@ -418,7 +423,7 @@ def residual_norm(
     factors: Factors = NONE,
     closure: Polynomial | None = None,
 ) -> Array:
-    """Return the norm (n_states,) [/s] of a model's residual at coordinates (n_states, n_modes).
+    """Return the norm (..., n_states) [/s] of a model's residual at (..., n_states, n_modes).
 
     Parameters
     ----------
@@ -429,12 +434,12 @@ def residual_norm(
     """
     steady, *driven = factor.at(kinematic_viscosity, factors)
     values = monomials(states)
-    residual = values @ steady.T
-    pushes = np.zeros(len(states)) if amplitude is None else amplitude
+    residual = values @ steady.swapaxes(-1, -2)
+    pushes = np.zeros(states.shape[:-1]) if amplitude is None else amplitude
     for power, coefficients in enumerate(driven, 1):
-        used = values[:, : coefficients.shape[1]]
-        residual += pushes[:, None] ** power * (used @ coefficients.T)
-    squares = np.sum(residual**2, axis=1)
+        used = values[..., : coefficients.shape[-1]]
+        residual += pushes[..., None] ** power * (used @ coefficients.swapaxes(-1, -2))
+    squares = np.sum(residual**2, axis=-1)
     if closure is not None:
-        squares += np.sum(closure.along(states, pushes) ** 2, axis=1)
+        squares += np.sum(closure.along(states, pushes) ** 2, axis=-1)
     return np.asarray(np.sqrt(squares))

@@ -118,21 +118,21 @@ class ReferenceModel:
         return np.zeros(len(time)) if self.amplitude is None else self.amplitude(time)
 
     def with_pressure(self, time: Array, coordinates: Array) -> Array:
-        """Return coordinates (n_states, n_modes), then those of the model's own pressure modes.
+        """Return coordinates (..., n_states, n_modes), then those of own pressure modes.
 
-        `time` is (n_states,) [s].
+        `time` is (n_states,) [s]. A model of many runs has a first axis of runs.
         """
         if (pressure := self.pressure) is None:
             return coordinates
         own = pressure.polynomial.along(coordinates, self.amplitudes(time))
         if (correction := pressure.correction) is not None:
             times = self.output_times
-            share = np.ones((len(correction), 1))
-            known = faded(np.hstack((correction, share)), times.n_snapshots)
+            share = np.ones((*correction.shape[:-1], 1))
+            known = faded(np.concatenate((correction, share), axis=-1), times.n_snapshots)
             added = TimedLoads(times.time, known).at(time)
             # Without what training runs add, the rest may be worse than no own modes.
-            own = added[:, -1:] * own + added[:, :-1]
-        return np.concatenate((coordinates, own), axis=1)
+            own = added[..., -1:] * own + added[..., :-1]
+        return np.concatenate((coordinates, own), axis=-1)
 
     def measured(self, states: Array, mean: Array | float) -> dict[str, Quantities]:
         """Return measurements in the fluid by name, for states from `with_pressure`.

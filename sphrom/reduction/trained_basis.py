@@ -23,9 +23,10 @@ from sphrom.declaration import Record, attribute, dataset, labelled, part
 from sphrom.metrics.quantities import FROM_FIELDS, OF_WALLS, stored
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import PLACES, Correction
+from sphrom.reduction.cycle_fits import Harmonics
 from sphrom.reduction.error_calibration import ErrorCalibration
 from sphrom.reduction.held_out import FieldProducts, OutputShares
-from sphrom.reduction.limit_cycles import CycleClosure, Harmonics, TrainedCycles
+from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles
 from sphrom.reduction.own_pressure import OwnPressure
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import (

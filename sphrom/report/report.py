@@ -2,7 +2,7 @@
 
 The page begins with the main result, followed by predicted and by trained points. It contains the
 tables and figures listed in `contents.yaml`, which `compare` and other commands write, and an
-animation of a reduced run beside the full run.
+animation of a reduced run beside the full run. It links to the exported pages of models.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 import yaml
@@ -25,9 +26,11 @@ from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
 from sphrom.compare.basis_figures import frame_of
 from sphrom.compare.comparison_figures import QUANTITIES, draw_comparison, side_by_side
 from sphrom.compare.comparison_tables import RECORDS, Tables
+from sphrom.exchange.export import FOLDER
 from sphrom.models.stored_run import StoredRun
 from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
 from sphrom.plots.tables import format_figure, read_csv
+from sphrom.portable.page import gradient
 from sphrom.report.page import (
     Html,
     animation,
@@ -104,10 +107,18 @@ def run(context: StageContext) -> None:
     )
     answer = find_answer(workspace, tables)
     head = [] if answer is None else [_headline(answer)]
+    head += _links(workspace.out)
     page = render(case.name, lead, list(parts.items()), footer, head).encode()
     path = workspace.out / PAGE
     write_whole(path, page)
     context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
+
+
+def _links(out: Path) -> Iterator[Html]:
+    """Yield links to the exported pages of models."""
+    for path in sorted(out.glob(f"{FOLDER}/model-*.html")):
+        address = quote(path.relative_to(out).as_posix())
+        yield element("p", element("a", f"Run {path.stem} in the browser", href=address))
 
 
 def _headline(answer: Answer) -> Html:
@@ -228,14 +239,6 @@ def _cell(text: str, digits: int) -> str:
             continue
         return text.removesuffix(".0") if "." in text and len(text) < SHORT else figure
     return text or format_figure(None)
-
-
-def gradient(colours: str, n_colours: int = 9) -> list[str]:
-    """Return colours of a colour map of matplotlib, from low to high values, for CSS."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
-    return [to_hex(c) for c in colormaps[colours](np.linspace(0.0, 1.0, n_colours))]
 
 
 def paint(field: Array, colours: str, ends: tuple[float, float]) -> Pixels:

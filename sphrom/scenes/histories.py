@@ -25,7 +25,7 @@ class History:
     """
 
     source: str
-    """What has the knots, for messages."""
+    """The owner of the knots, for messages."""
     rows: Array
     """Times [s] and values (2, n_knots + 2) of `beyond_ends`."""
     scale: float = 1.0

@@ -122,12 +122,14 @@ def scaled_parameters(case: Case, points: Sequence[ParameterPoint]) -> Array:
     The Reynolds number enters by its logarithm. The other parameters may be negative, so each is
     divided by its largest trained value.
     """
-    places = np.log([[point.reynolds] for point in points])
-    if len(case.plan.parameter_names) == 1:
-        return places
+    return scaled_values(case, np.array([[*point.as_dict().values()] for point in points]))
+
+
+def scaled_values(case: Case, values: Array) -> Array:
+    """Return the scaled parameters (..., n_parameters) of values in the case's order."""
     sizes = case.plan.largest_values[1:]
-    others = np.array([list(point.factors.values()) for point in points])
-    return np.hstack((places, others / np.where(sizes > 0.0, sizes, 1.0)))
+    others = values[..., 1:] / np.where(sizes > 0.0, sizes, 1.0)
+    return np.concatenate((np.log(values[..., :1]), others), axis=-1)
 
 
 def role_of(case: Case, basis: str, point: ParameterPoint) -> str:

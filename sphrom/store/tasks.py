@@ -120,7 +120,7 @@ Files = Mapping[str, bytes]
 
 @dataclass(frozen=True)
 class Answer:
-    """What a worker returns."""
+    """The answer of a worker to a task."""
 
     told: Told = ()
     files: Files = field(default_factory=dict)

@@ -8,7 +8,8 @@ records of a task are written as one part, which is complete or absent.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -26,7 +27,7 @@ from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError, SphromError, UnstableError
 from sphrom.metrics.measures import Quantities, of_a_run
 from sphrom.metrics.quantities import PLACED, components
-from sphrom.metrics.series import REGIMES
+from sphrom.metrics.series import ESTIMATED, REGIMES
 from sphrom.models import fom, stages
 from sphrom.models.contract import Ability, ModelRun, family_of, model_of
 from sphrom.models.stored_run import StoredRun
@@ -49,6 +50,7 @@ OVER_TIME = f"{ERROR}velocity_over_time", f"{ERROR}pressure_over_time"
 INDICES = {"complete_run": "complete", "estimated_run": f"{ERROR}run"}
 """The datasets with the indices of those runs that others have, by their first axis."""
 MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
+OSCILLATION_ERRORS = f"{ERROR}oscillations"
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ def make_runs(task: Task) -> tuple[Failure, ...]:
     swept = _swept(replace(task, points=()))
     records: list[RunRecord] = []
     failed: list[Failure] = []
+    swept.prepare(task.points)
     for point in task.points:
         require_folder(swept.workspace)
         try:
@@ -105,9 +108,15 @@ class SweptModel:
         self.workspace = workspace
         self._model = sweep_model(workspace.case)
         self._fast = None
+        self._together: Iterator[ModelRun] = iter(())
         if runs_alone(workspace.case):
             assert self._model is not None
             self._fast = model_of(workspace, self._model)
+
+    def prepare(self, points: Sequence[ParameterPoint]) -> None:
+        """Let runs of a model from operators at points, in this order, share their arrays."""
+        if self._fast is not None:
+            self._together = self._fast.runs(points)
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
@@ -115,7 +124,12 @@ class SweptModel:
         Raises SphromError when the run fails.
         """
         if self._fast is not None:
-            return self._of_fast(self._fast.run(point))
+            made = None
+            with suppress(SphromError):  # if one run fails, the others are made one by one
+                made = next(self._together, None)
+            if made is None or made.point != point:
+                made = self._fast.run(point)
+            return self._of_fast(made)
         case = self.workspace.case
         model = self._model
         # Valid runs of the case itself are kept, even with --force.
@@ -179,6 +193,10 @@ class SweptModel:
                 found = run.measured_sizes
                 pairs = [found.get(column, (0.0, 0.0)) for column in columns]
                 values |= zip(MEASURED_ERRORS, np.sqrt(pairs).T, strict=True)
+            errors = run.oscillation_errors
+            if errors and errors.keys() == self.workspace.case.plan.oscillations.keys():
+                rows = [[each.get(f, 0.0) for f in ESTIMATED] for each in errors.values()]
+                values[OSCILLATION_ERRORS] = np.array(rows)
         values |= _kept(run.measured)
         derivatives: dict[str, float] = {}
         has_slopes = run.model.family.can(Ability.SENSITIVITIES)

@@ -28,7 +28,7 @@ from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
 from sphrom.metrics.draws import fewest_runs
 from sphrom.metrics.measures import DRY, STATISTICS
-from sphrom.metrics.series import OSCILLATION, REGIMES
+from sphrom.metrics.series import ESTIMATED, OSCILLATION, REGIMES
 from sphrom.models.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
@@ -43,6 +43,7 @@ from sphrom.sweep.batches import (
     FAILED,
     MEASURED_ERRORS,
     NOT_RUN,
+    OSCILLATION_ERRORS,
     REGIME,
     STATES,
     UNSTABLE,
@@ -203,6 +204,8 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
         names |= {f"{name}_{statistic}": column.units for statistic in STATISTICS}
     for name, measure in case.plan.oscillations.items():
         names |= {f"{name}_{figure}": measure.units_of(figure) for figure in OSCILLATION}
+        if any(OSCILLATION_ERRORS in record.values for record in records):
+            names |= {f"error_estimate_{name}_{f}": measure.units_of(f) for f in ESTIMATED}
         names[f"{name}_reason"] = None
     return names
 
@@ -380,6 +383,11 @@ def _row(case: Case, record: RunRecord, names: Iterable[str]) -> Cells:
         pairs = np.stack([values[path] for path in MEASURED_ERRORS], axis=1).tolist()
         for column, (error, change) in zip(case.scene.columns, pairs, strict=True):
             row[f"error_estimate_{column}"] = 100.0 * error / change if change > 0.0 else None
+    regime = REGIMES[values[REGIME]] if REGIME in values else None
+    found = values.get(OSCILLATION_ERRORS, ())
+    for name, errors in zip(case.plan.oscillations, found, strict=False):
+        figures = measures.in_regime(regime, dict(zip(ESTIMATED, errors.tolist(), strict=True)))
+        row |= {f"error_estimate_{name}_{figure}": error for figure, error in figures.items()}
     return row
 
 

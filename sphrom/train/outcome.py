@@ -28,6 +28,9 @@ FOLDER = "training"
 """Folder of a training, within that of the case's artifacts."""
 LABELS = {"reynolds": "Re [–]"}
 """Labels of parameters with a usual symbol."""
+OSCILLATING = "oscillation"
+LIMITED = (*QUANTITIES, OSCILLATING)
+"""The quantities with errors; for oscillations, the larger of frequency and amplitude."""
 FIGURES = ("estimate", "error", "floor")
 """Errors of a predicted run [%]: the estimate, the true error, and the best approximation's."""
 
@@ -38,11 +41,11 @@ class HeldOut:
 
     point: ParameterPoint
     estimate: Array
-    """(2,) of velocity and pressure, before any correction; infinite without an estimate."""
+    """(3,) of LIMITED, before any correction; infinite without an estimate."""
     error: Array
-    """(2,) true errors, infinite if the model's run diverged."""
+    """(3,) true errors, infinite if the model's run diverged."""
     floor: Array
-    """(2,) errors of the best approximation in the basis."""
+    """(3,) errors of the best approximation in the basis."""
     failure: str | None = None
     """The reason why the full run failed; it then has no errors."""
 
@@ -54,13 +57,13 @@ class Stage:
     points: tuple[ParameterPoint, ...]
     candidates: Sequence[ParameterPoint]
     estimates: Array
-    """(n_candidates, 2) estimated errors [%], infinite without an estimate."""
+    """(n_candidates, 3) estimated errors of LIMITED [%], infinite without an estimate."""
     floor: Array
-    """(2,) largest errors of the best approximations of the training runs [%]."""
+    """(3,) largest errors of the best approximations of the training runs [%]."""
     earlier: tuple[HeldOut, ...]
     """Runs that earlier stages chose."""
     fields: tuple[int, ...]
-    """The indices of the fields that count, velocity and pressure."""
+    """The indices of those of LIMITED that count."""
     held_out: tuple[HeldOut, ...] = ()
     """Runs that this stage chose."""
 
@@ -76,9 +79,11 @@ class Stage:
 
     @property
     def factors(self) -> Array:
-        """(2,) safety factors on estimates of velocity and pressure, to cover all true errors."""
-        pairs = np.array([(run.estimate, run.error) for run in self.complete]).reshape(-1, 2, 2)
-        return np.array([safety_factor(*pairs[..., k].T) for k in range(2)])
+        """(3,) safety factors on estimates, to cover all true errors."""
+        n_limited = len(LIMITED)
+        pairs = np.array([(run.estimate, run.error) for run in self.complete])
+        pairs = pairs.reshape(-1, 2, n_limited)
+        return np.array([safety_factor(*pairs[..., k].T) for k in range(n_limited)])
 
     @cached_property
     def judged(self) -> Array:
@@ -115,7 +120,12 @@ class Outcome:
     @property
     def quantity(self) -> str:
         """The names of the fields that count."""
-        return " and ".join(QUANTITIES[k] for k in self.section.fields)
+        return " and ".join(LIMITED[k] for k in self.section.fields)
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Those of LIMITED with columns in the table."""
+        return tuple(dict.fromkeys((*QUANTITIES, *(LIMITED[k] for k in self.section.fields))))
 
     @property
     def held_out(self) -> list[HeldOut]:
@@ -140,7 +150,7 @@ def publish(
     folder = workspace.folder(FOLDER)
     points = outcome.stages[-1].points
     parameters = list(points[0].as_dict())
-    errors = {f"{quantity}_{figure}": "%" for quantity in QUANTITIES for figure in FIGURES}
+    errors = {f"{quantity}_{figure}": "%" for quantity in outcome.shown for figure in FIGURES}
     units: dict[str, str | None] = {"full_runs": None, "worst_estimate": "%"}
     units |= {"factor": None, "floor": "%", **dict.fromkeys(parameters), **errors, "failure": None}
     rows = [{**dict.fromkeys(units), **row} for row in _rows(outcome)]
@@ -196,7 +206,7 @@ def _rows(outcome: Outcome) -> Iterator[dict[str, Any]]:
         for run in stage.held_out:
             figures = {
                 f"{quantity}_{figure}": _finite(getattr(run, figure)[k])
-                for k, quantity in enumerate(QUANTITIES)
+                for k, quantity in enumerate(outcome.shown)
                 for figure in FIGURES
             }
             yield {**row, **run.point.as_dict(), **figures, "failure": run.failure or ""}

@@ -4,7 +4,8 @@ Full runs and maps belong to the case and are kept. Bases, splines and operators
 each set of training points, in a folder of their own, at a small part of the cost of a full run.
 
 Errors are root mean squares over the reference points and the compared times, over those of the
-field [%], for the velocity and for the pressure less its mean.
+field [%], for the velocity and for the pressure less its mean. The third error is the largest of
+the frequencies and amplitudes of measured oscillations, over their values [%].
 """
 
 from __future__ import annotations
@@ -19,19 +20,23 @@ from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError, UnstableError
-from sphrom.metrics.measures import since
+from sphrom.metrics.measures import items, since
+from sphrom.metrics.series import OSCILLATION, STEADY
 from sphrom.models import fom
-from sphrom.models.contract import ModelRun, model_of
+from sphrom.models.contract import Measured, ModelRun, model_of
 from sphrom.models.stages import OPERATORS, map_runs
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import runs_that_fit
+from sphrom.store.trajectory import measured_of
 from sphrom.store.variants import Variant
 from sphrom.store.workers import start_workers
-from sphrom.train.outcome import FOLDER, HeldOut
+from sphrom.train.outcome import FOLDER, LIMITED, OSCILLATING, HeldOut
 
 MADE_HERE = ("basis", "spline", "b-spline", "operators")
 """Kinds of artifacts that these stages make."""
-NONE = np.full(2, np.inf)
+FIGURES = OSCILLATION[:2]
+"""Figures of oscillations with relative errors."""
+NONE = np.full(len(LIMITED), np.inf)
 """The errors of a diverged run, and missing estimates."""
 
 
@@ -65,7 +70,7 @@ class Surrogate:
     def evaluate(self, candidates: Sequence[ParameterPoint]) -> tuple[Array, Array]:
         """Train the model, and return its errors [%].
 
-        They are the estimates (n_candidates, 2) for the model, and the largest errors (2,) of the
+        They are the estimates (n_candidates, 3) for the model, and the largest errors (3,) of the
         best approximations of the training runs.
         """
         self._model = StageModel(self._context, self._section, self.points)
@@ -144,16 +149,25 @@ class StageModel:
         self._fast = model_of(self.workspace, model)
 
     def estimate(self, point: ParameterPoint) -> Array:
-        """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
+        """Return the estimated errors (3,) of the model at a point, infinite if there are none."""
         if (run := self._run(point)) is None or (estimate := run.estimate) is None:
             return NONE
         late = self._counted(run.time)
-        return _percent(
+        of_fields = _percent(
             np.sum(estimate.errors[late] ** 2, axis=0), np.sum(estimate.sizes[late] ** 2, axis=0)
         )
+        errors = run.oscillation_errors
+        shares = [
+            errors[name][figure] / float(figures[figure][0])
+            for name, figures in run.oscillations.items()
+            for figure in FIGURES
+            if name in errors and figure in errors[name]
+        ]
+        missing = 0.0 if run.regime == STEADY else np.inf
+        return np.append(of_fields, 100.0 * max(shares, default=missing))
 
     def floor(self) -> Array:
-        """Return the largest errors (2,) of the best approximations of the training runs."""
+        """Return the largest errors (3,) of the best approximations of the training runs."""
         floors = [self.compared(point, approximation=True)[1] for point in self._points]
         return np.asarray(np.max(floors, axis=0))
 
@@ -162,13 +176,33 @@ class StageModel:
     ) -> tuple[Array, Array]:
         """Return the errors at a point with a mapped full run, of the model and of its basis.
 
-        The errors (2,) [%] of the model's run are infinite if it diverged. Those of the basis are
+        The errors (3,) [%] of the model's run are infinite if it diverged. Those of the basis are
         of the best approximation; with `approximation`, only these are computed.
         """
         run = None if approximation else self._run(point)
-        sums = self._fast.family.part("compared")(self._fast, point, run, self._counted)
-        error, floor, size = sums
-        return NONE if run is None else _percent(error, size), _percent(floor, size)
+        compared = self._fast.family.part("compared")
+        error, floor, size, nearest = compared(self._fast, point, run, self._counted)
+        found = NONE if run is None else np.append(_percent(error, size), np.inf)
+        least = np.append(_percent(floor, size), np.inf)
+        if self.workspace.case.training.quantity != OSCILLATING:
+            return found, least
+        with self.workspace.open(self.workspace.full_run(point)) as full:
+            time = full.read("time")
+            recorded = measured_of(self.workspace.case, full)
+        counted = np.flatnonzero(self._counted(time))
+        least[-1] = self._oscillation_error(time[counted], nearest(), items(recorded, counted))
+        if run is not None:
+            found[-1] = self._oscillation_error(time, run.measured, recorded)
+        return found, least
+
+    def _oscillation_error(self, time: Array, own: Measured, full: Measured) -> float:
+        """Return the largest relative error of frequencies and amplitudes [%]."""
+        errors = [
+            each.of(time, own[each.measure], full[each.measure]).get(f"{figure}_error", np.inf)
+            for each in self.workspace.case.plan.oscillations.values()
+            for figure in FIGURES
+        ]
+        return max(errors, default=np.inf)
 
     def _run(self, point: ParameterPoint) -> ModelRun | None:
         """Return the run at a point; None if it diverges or needs too many steps."""

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from sphrom.case.checks import case_problems
-from sphrom.case.model_sections import ReducedModelSection
+from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.case.models import Case, resolved_yaml
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, changed, fast_section, percent, trained_at
@@ -25,7 +25,7 @@ from sphrom.setup.context import StageContext
 from sphrom.store.variants import Variant
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
-from sphrom.train.outcome import FOLDER, HeldOut, Outcome, Stage, publish
+from sphrom.train.outcome import FOLDER, OSCILLATING, HeldOut, Outcome, Stage, publish
 from sphrom.train.surrogate import Surrogate
 from sphrom.whole_files import require_writable, write_whole
 
@@ -59,6 +59,11 @@ def run(
     case = changed(context.case, training=options)
     context = replace(context, case=case)
     model = _model(case)
+    if case.training.quantity == AUTO:
+        oscillates = model.settles_on_cycles and case.plan.oscillations
+        quantity = OSCILLATING if oscillates else "velocity"
+        case = changed(case, training={"quantity": quantity})
+        context = replace(context, case=case)
     region = Region(case)
     starts = region.starts(_existing(context, region))
     candidates = [p for p in region.candidates() if p not in case.plan.test_points]
@@ -120,6 +125,12 @@ def _model(case: Case) -> ReducedModelSection:
     """Return the model to train. Raises CaseError if there is none, or no region."""
     model = fast_section(case, case.training.model)
     family_of(case, model).require(Ability.TRAINING, "training")
+    limits_oscillations = case.training.quantity == OSCILLATING
+    if limits_oscillations and not (model and model.settles_on_cycles and case.plan.oscillations):
+        raise CaseError(
+            "training.quantity: oscillation needs a model with calibrated: cycle, and a measured "
+            "frequency"
+        )
     if not case.training.ranges or model is None:
         raise CaseError(
             "training: the case has no region of parameters; give ranges, such as --set "

@@ -9,9 +9,9 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 330_000, 260
+TOKENS, MODULES = 316_800, 247
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
-TEST_LINES = 31_000
+TEST_LINES = 30_005
 LARGEST_SHARE = 0.16
 """Of a package's tokens in all."""
 LONGEST = 450

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -105,11 +106,12 @@ def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) ->
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        (("--to", "stl"), 2, "--to: must be vtu or csv; got 'stl'"),
+        (("--to", "stl"), 2, "--to: must be one of vtu, csv, model, fmu, page; got 'stl'"),
         (("--at", "0,0"), 2, "--at: needs --to csv"),
         (("--to", "csv", "--at", "1"), 2, "like 0.5,0.5; got '1'"),
         (("--to", "csv", "--at", "nan,0"), 2, "--at: must be two numbers"),
         (("--out", "elsewhere"), 3, "nothing to export"),
+        (("--to", "model", "--only", "galerkin"), 2, "galerkin is evaluated on particles"),
     ],
 )
 def test_what_cannot_be_exported_is_said(place, sphrom, arguments, code, says) -> None:
@@ -147,3 +149,12 @@ def test_runs_are_tabled_along_the_line_unless_asked_otherwise(place, sphrom) ->
     assert len({row["y [m]"] for row in rows}) == 21  # compare.line_points of the case
     again = sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150", code=3)
     assert "exists already; --force replaces it" in again.stderr
+
+
+def test_trained_models_are_exported_as_files_of_their_own(fast, sphrom) -> None:
+    done = sphrom("export", "tiny.yaml", "--set", FAST, "--to", "model", code=0)
+    path = fast.parent / "export" / "model-fast.json"
+    assert json.loads(path.read_text())["name"] == "fast"
+    assert f"wrote {path}" in done.output
+    again = sphrom("export", "tiny.yaml", "--set", FAST, "--to", "model", code=3)
+    assert "exists already" in again.stderr

@@ -39,7 +39,6 @@ CASE: dict[str, Any] = {
     "snapshots": {"every": 40},
     "parameters": {"train": {"reynolds": [80, 100, 120]}, "test": {"reynolds": [40, 110]}},
     "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": "cycle"}],
-    "operators": {"error_estimate": False},
     "compare": {"plots": False, "grid": 8, "line_points": 9},
     "sweep": {"reynolds": [40, 51, 60, 100]},
     "trade": {"measure": "beat", "full_runs": False, "n_modes": [3], "repeats": 1},
@@ -99,6 +98,11 @@ def test_a_sweep_marks_what_oscillates(made: Path, sphrom) -> None:
     assert f"leave them out: {BELOW_ONSET}" in words
     assert float(found[-1]["beat_frequency [Hz]"]) == pytest.approx(1.0, rel=0.01)
     assert "regimes: 1 run steady, 2 runs shedding, 1 run undecided" in words
+    assert found[0]["error_estimate_beat_amplitude [m/s]"] == ""
+    errors = [float(row["error_estimate_beat_amplitude [m/s]"]) for row in found[1:]]
+    assert min(errors) > 0.0
+    assert float(found[0]["error_estimate_beat_mean [m/s]"]) >= 0.0
+    assert float(found[-1]["error_estimate_beat_frequency [Hz]"]) < 0.01
 
 
 def test_python_and_fits_do_not_count_oscillations_below_the_onset(
@@ -110,6 +114,10 @@ def test_python_and_fits_do_not_count_oscillations_below_the_onset(
     assert several.regime.values.tolist() == ["steady", "shedding"]
     assert np.isnan(several.beat_amplitude.values).tolist() == [True, False]
     assert np.isfinite(several.beat_mean.values).all()
+    errors = several.error_estimate_beat_amplitude
+    assert np.isnan(errors.values).tolist() == [True, False]
+    assert errors.units == "m/s"
+    assert several.error_estimate_beat_phase.units == "deg"
     assert several.beat_amplitude.missing == BELOW_ONSET
     assert "missing" not in several.beat_mean.attrs
     below = model.at(reynolds=40.0).run().measures.beat_frequency
@@ -150,6 +158,12 @@ def test_comparisons_have_no_oscillation_of_a_model_below_the_onset(made: Path, 
     assert below["frequency [Hz]"] == below["amplitude"] == below["amplitude_error [%]"] == ""
     assert beyond["remark"] == ""
     assert float(beyond["frequency_error [%]"]) < 1.0
+    # The run starts far from its cycle, as training runs do.
+    for figure, most in (("frequency", 1.0), ("amplitude", 50.0)):
+        error, estimate = (float(beyond[f"{figure}_{kind} [%]"]) for kind in ("error", "estimated"))
+        assert error < 2.0 * estimate < most
+    assert below["amplitude_estimated [%]"] == ""
+    assert "(estimated: " in said
     assert found["full", "reynolds=40"]["remark"] != BELOW_ONSET
     assert BELOW_ONSET in said
     sphrom("sweep", *options, "--workers", 1, "--quiet", code=0)

@@ -13,8 +13,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.metrics.series import kinetic_energy
-from sphrom.models.points.basis_model import quantities_of
 from sphrom.models.points.fast_model import FastModel
+from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.sensitivities import tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.force_projection import project_forces

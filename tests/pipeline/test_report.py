@@ -3,41 +3,23 @@
 from __future__ import annotations
 
 import base64
+import io
 import re
-import shutil
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sphrom.report.report import as_png
 
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
-
-
-def browse(page: Path, folder: Path, *arguments: str) -> str:
-    """Open a page in a headless browser that reaches no host, and return what it prints."""
-    result = subprocess.run(
-        [
-            str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
-            "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={folder}",
-            "--virtual-time-budget=2000", "--window-size=1100,1500", *arguments,
-            page.resolve().as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=True,
-    )  # fmt: skip
-    return result.stdout
-
 
 def test_report_without_figures(place, sphrom) -> None:
     swept = ("--set", "sweep={name: other, model: full, reynolds: [100]}")
     sphrom("sweep", "tiny.yaml", *swept, "--workers", "1", code=0)
+    (place / "export").mkdir()
+    (place / "export" / "model-fast 1.html").touch()
     sphrom("report", "tiny.yaml", code=0)
     text = (place / "report.html").read_text()
+    assert '<a href="export/model-fast%201.html">Run model-fast 1 in the browser</a>' in text
     assert "full: 1 run, 1 complete" in text
     assert "http" not in text.replace("http-equiv", "")
     assert "No figures were drawn" in text
@@ -92,17 +74,16 @@ def test_missing_and_damaged_tables_are_said(
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no chromium is installed to open the page in")
-def test_browser_shows_the_page_and_runs_the_animation(place, sphrom, tmp_path) -> None:
+def test_browser_shows_the_page_and_runs_the_animation(place, sphrom, browser) -> None:
     from matplotlib.image import imread
 
     sphrom("report", "tiny.yaml", code=0)
-    page = place / "report.html"
-    document = browse(page, tmp_path / "profile", "--dump-dom")
+    browser.open(place / "report.html", width=1100, height=1500)
     # The player has written the time of the frame that it shows.
-    assert re.search(r"<output>t = [\d.e-]+ s</output>", document)
-    shot = tmp_path / "shot.png"
-    browse(page, tmp_path / "profile", f"--screenshot={shot}")
-    pixels = imread(shot)[..., :3]
+    shown = browser.value("document.querySelector('output').textContent")
+    assert re.fullmatch(r"t = [\d.e-]+ s", shown)
+    shot = base64.b64decode(browser.ask("Page.captureScreenshot")["data"])
+    pixels = imread(io.BytesIO(shot))[..., :3]
     # Text, lines and what could not be shown are grey; fields fill much of the window.
     assert np.mean(np.ptp(pixels, axis=2) > 0.1) > 0.1
+    assert (browser.requests, browser.problems) == ([], [])

@@ -7,13 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sphrom.metrics.series import SHEDDING, STEADY, UNDECIDED, dominant_frequency
-from sphrom.reduction.limit_cycles import (
-    CycleClosure,
-    LimitCycle,
-    TrainedCycles,
-    fitted_cycle,
-    harmonics_of,
-)
+from sphrom.models.points.oscillation_errors import OscillationErrors
+from sphrom.reduction.cycle_fits import LimitCycle, fitted_cycle, harmonics_of
+from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles
 from sphrom.reduction.reduced_measures import PointForce
 from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators
 
@@ -165,6 +161,40 @@ def test_the_onset_depends_on_other_parameters() -> None:
         assert 1.0 / found.onsets({"width": width})[0] == pytest.approx(onset, rel=0.04)
 
 
+def test_the_error_between_runs_is_that_of_the_natural_spline() -> None:
+    values = np.array([60.0, 80.0, 120.0])
+    found = law(list(values), 1.0 - ONSET / values, [{}] * 3)
+    assert [found.distance(1.0 / value, {}) for value in values] == pytest.approx([0.0] * 3)
+    distances = [found.distance(1.0 / value, {}) for value in (70.0, 50.0, 40.0, 150.0, 200.0)]
+    assert 0.0 < distances[0] < distances[1] < distances[2]
+    assert 0.0 < distances[3] < distances[4]
+    # In the middle between two runs at a distance h, the square is h^3 / 4.
+    two = found.distance(1.0 / 80.0, {}, np.array([0, 2]))
+    assert two**2 == pytest.approx(0.5**3 / 4.0, rel=1e-9)
+    assert found.distance(1.0 / 80.0, {}, np.array([0])) == 0.0
+
+
+def test_errors_of_oscillations_grow_with_the_distance_from_training_runs() -> None:
+    values = np.array([60.0, 80.0, 120.0])
+    closure = law(list(values), 1.0 - ONSET / values, [{}] * 3)
+    # The frequency is linear in the viscosity, the amplitude in its inverse.
+    figures = np.stack((0.2 - 3.0 / values, 0.01 * values, np.zeros(3)), axis=1)
+    known = OscillationErrors(
+        closure=closure,
+        recorded=figures,
+        repeated=np.tile([1e-3, 2e-3, 3e-3, 4.0], (3, 1)),
+        scatter=np.zeros((3, 3)),
+        rates=np.array([0.0, 0.0, 1.0]),
+    )
+    at_run, beside, outside = (known.at(1.0 / value, {}, 10.0) for value in (80.0, 90.0, 160.0))
+    assert list(at_run.values()) == pytest.approx([1e-3, 2e-3, 3e-3, 4.0])
+    for name in at_run:
+        assert at_run[name] < beside[name] < outside[name], name
+    assert beside["mean"] == pytest.approx(np.hypot(3e-3, closure.distance(1.0 / 90.0, {})))
+    drift = 3600.0 * np.sqrt(outside["frequency"] ** 2 - 1e-6)
+    assert outside["phase"] == pytest.approx(np.hypot(4.0, drift))
+
+
 def test_runs_at_one_viscosity_determine_no_onset() -> None:
     found = law([100.0], [0.5], [{}])
     assert set(found.onsets()) == {np.inf}
@@ -213,6 +243,21 @@ def test_what_is_not_periodic_is_refused() -> None:
     walk = np.cumsum(random.standard_normal((400, 3)), axis=0)
     with pytest.raises(ValueError, match=r"not periodic|no oscillation"):
         fitted_cycle(times, walk + 3.0 * np.sin(9.0 * times)[:, None] * [1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("line", "size", "refused"), [(1.7, 0.305, True), (1.7, 0.1, False)])
+def test_a_second_line_is_refused_by_its_frequency(line: float, size: float, refused: bool) -> None:
+    times = np.linspace(0.0, 40.0, 800)
+    waves = [np.exp(2j * np.pi * f * times) for f in (0.7, line, 1.4)]
+    parts = [waves[0].real, waves[0].imag, size * waves[1].real, 0.5 * waves[2].real]
+    states = np.stack(parts, axis=1)
+    if refused:
+        share = 50.0 * size**2 / (1.0 + 0.5 * 0.25 + 0.5 * size**2)
+        found = rf"harmonics of 0\.7 Hz explain .* second line, of 1\.7 Hz, {share:.0f}\.\d %"
+        with pytest.raises(ValueError, match=found):
+            fitted_cycle(times, states)
+    else:
+        assert fitted_cycle(times, states).frequency == pytest.approx(1.4 * np.pi, rel=1e-3)
 
 
 def test_harmonics_are_those_of_the_series() -> None:

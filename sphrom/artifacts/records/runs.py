@@ -279,6 +279,18 @@ class MeasuredOnce(Record):
         return {**self.arrays, **numbers}
 
 
+_UNIT = "of the measurement"
+
+
+class OscillationEstimate(Record):
+    """The errors of an oscillation over a run; a steady flow has only a mean."""
+
+    frequency: float | None = attribute("Hz", "estimated error of the frequency", default=None)
+    amplitude: float | None = attribute(_UNIT, "estimated error of the amplitude", default=None)
+    mean: float = attribute(_UNIT, "estimated error of the mean")
+    phase: float | None = attribute("deg", "estimated error of the phase at the end", default=None)
+
+
 class SurfaceErrorEstimate(Record):
     """The errors of a run, estimated without a full run."""
 
@@ -306,6 +318,7 @@ class ErrorEstimate(SurfaceErrorEstimate):
     pressure_constant: float = attribute("Pa over the inner product's", _CONSTANT)
     velocity_factor: float | None = attribute("1", _FACTOR, default=None)
     pressure_factor: float | None = attribute("1", _FACTOR, default=None)
+    oscillation: Mapping[str, OscillationEstimate] = part(default_factory=dict)
 
 
 class Steady(Record):

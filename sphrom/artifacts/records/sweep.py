@@ -44,6 +44,13 @@ class Estimates(Record):
         "root mean squares of the changes over time, zero for only noise",
         default=None,
     )
+    oscillations: Array | None = dataset(
+        "estimated_run oscillation figure",
+        "of the figures",
+        "estimated errors of oscillations, in the order of the case: of frequency, amplitude, mean "
+        "and, at the end, phase; zero for figures that a steady flow lacks",
+        default=None,
+    )
     velocity_over_time: Array | None = labelled(
         "estimated_run snapshot", VELOCITY_ERROR, default=None
     )

@@ -5,7 +5,7 @@ All that training runs determine is in its record (`sphrom.reduction.trained_bas
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,7 +14,6 @@ import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.model_sections import ReducedModelSection
-from sphrom.case.models import Case
 from sphrom.case.plan_times import MAX_STEPS
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
@@ -32,7 +31,7 @@ from sphrom.reduction.error_calibration import (
 from sphrom.reduction.limit_cycles import CycleClosure
 from sphrom.reduction.own_pressure import PointPressure
 from sphrom.reduction.reduced_measures import PointForce, TimedLoads
-from sphrom.reduction.reduced_operators import residual_norm
+from sphrom.reduction.reduced_operators import Polynomial, residual_norm
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.reduction.trained_basis import ALL_MODES, LEADING, TrainedBasis, TrainedErrors
 from sphrom.reduction.trial_basis import (
@@ -46,10 +45,9 @@ from sphrom.setup.assembly import (
     amplitude_of,
     memory_length_of,
     output_times_of,
-    scaled_parameters,
+    scaled_values,
     sound_averages,
 )
-from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -58,6 +56,8 @@ if TYPE_CHECKING:
 
 Start = Callable[[ParameterPoint], Fields]
 """The fields on the reference points at the start of a run at a parameter point."""
+Rates = tuple[Polynomial, Polynomial | None]
+"""The rates at a point, and the part of them that a closure or the calibration adds."""
 
 
 class BasisModel:
@@ -93,7 +93,6 @@ class BasisModel:
         self._read_values = values
         self.problem: CaseError | None = None
         self._last: Fields | None = None
-        self._placed: tuple[ParameterPoint, Array] | None = None
         self._starts: dict[int, tuple[Array, float]] = {}
         self._leading_basis = truncate(basis, self.n_integrated)
 
@@ -151,45 +150,65 @@ class BasisModel:
 
     def place(self, point: ParameterPoint) -> Array:
         """Return the scaled parameters (n_parameters,) of a point."""
-        if self._placed is None or self._placed[0] is not point:
-            self._placed = point, scaled_parameters(self.workspace.case, [point])[0]
-        return self._placed[1]
+        values = np.stack([*point.as_dict().values()], axis=-1)
+        return scaled_values(self.workspace.case, values)
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a point, with its corrections by training runs.
 
         Raises CaseError if corrections are impossible.
         """
+        return self.corrected(self.uncorrected(point), point)
+
+    def uncorrected(
+        self, point: ParameterPoint, known: Mapping[str, Rates] | None = None
+    ) -> ReferenceModel:
+        """Return the same without corrections and forces; `known` has its rates, if available."""
         if self.problem is not None:
             raise self.problem
-        model = self.projected(point)
+        model = self.projected(point, known=known)
         # At a training point it is exactly the step for which the correction was fitted.
         nearest = self.trained.nearest(self.place(point))
         step = float(self.trained.first_step[nearest]) or None  # zero if that run is not stable
         leading = model.leading and replace(model.leading, first_step=step)
-        return self.corrected(replace(model, first_step=step, leading=leading), point)
+        return replace(model, first_step=step, leading=leading)
 
-    def projected(self, point: ParameterPoint, *, in_training: bool = False) -> ReferenceModel:
+    def projected(
+        self,
+        point: ParameterPoint,
+        *,
+        in_training: bool = False,
+        known: Mapping[str, Rates] | None = None,
+    ) -> ReferenceModel:
         """Return the projected and calibrated model at a point, without correction and forces.
 
         Exponential steps use the linear part of the model at the nearest training point. With
         `in_training`, the model runs over the times of the training runs.
         """
-        model = self._equations(ALL_MODES, point, in_training)
+        model = self._equations(ALL_MODES, point, in_training, known)
         if LEADING not in self.trained.rates:
             return model
         # Its steps are as accurate as the basis of all modes requires.
-        leading = replace(self._equations(LEADING, point, in_training), basis=self.basis)
-        return replace(model, leading=leading)
+        leading = self._equations(LEADING, point, in_training, known)
+        return replace(model, leading=replace(leading, basis=self.basis))
 
-    def _equations(self, modes: str, point: ParameterPoint, in_training: bool) -> ReferenceModel:
+    def _equations(
+        self,
+        modes: str,
+        point: ParameterPoint,
+        in_training: bool,
+        known: Mapping[str, Rates] | None,
+    ) -> ReferenceModel:
         """Return the equations and the start of the rates of some modes."""
         rates = self.trained.rates[modes]
         nearest = self.trained.nearest(self.place(point))
-        model = self.equations(modes, point, in_training)
+        own = None if known is None else known[modes]
+        model = self.equations(modes, point, in_training, own)
         return replace(model, states=rates.states, linear=rates.linear_parts[nearest])
 
-    def equations(self, modes: str, point: ParameterPoint, in_training: bool) -> ReferenceModel:
+    def equations(
+        self, modes: str, point: ParameterPoint, in_training: bool, known: Rates | None = None
+    ) -> ReferenceModel:
         """Return the same without states and linear parts, which only steps need."""
         case = self.workspace.case
         rates = self.trained.rates[modes]
@@ -197,8 +216,10 @@ class BasisModel:
         basis = self.basis if modes == ALL_MODES else self._leading_basis
         start, mean = self._start_at(point, basis)
         steps = case.plan.steps if in_training else case.plan.model_steps(self.section)
+        polynomial, closure = known or (rates.operators.at(viscosity, point.factors), None)
         model = ReferenceModel(
-            polynomial=rates.operators.at(viscosity, point.factors),
+            polynomial=polynomial,
+            closure=closure,
             basis=basis,
             start=start,
             output_times=output_times_of(case, steps, rates.states, point),
@@ -206,6 +227,8 @@ class BasisModel:
             amplitude=amplitude_of(case, point),
             longest_step=case.plan.longest_step(point),
         )
+        if known is not None:
+            return model
         length = None
         if rates.memory is not None:
             length = memory_length_of(
@@ -401,50 +424,3 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
             f"than {MAX_STEPS:g} in a run; choose fewer modes, a memory_length or a time_step"
         )
     return reference_model.automatic_whole(reduced)
-
-
-def forces_of(
-    reduced: ReferenceModel,
-    time: Array,
-    coordinates: Array,
-    mean: Array | float | None = None,
-    own: Array | None = None,
-) -> dict[str, Array]:
-    """Return the forces and torques (n_states, 2, 3) of states [N/m, N], by measurement.
-
-    Parameters
-    ----------
-    time : (n_states,) [s].
-    coordinates : (n_states, n_modes).
-    mean : separate density fluctuation [kg/m3], (n_states,) or one; by default the model's own.
-    own : (n_states, n_own_modes) of own pressure modes; by default as the model has them.
-    """
-    mean = reduced.mean_density_fluctuation if mean is None else mean
-    if not reduced.forces:
-        return {}
-    amplitude = reduced.amplitudes(time)
-    rates = reduced.polynomial.along(coordinates, amplitude)
-    if own is None and any(force.own is not None for force in reduced.forces.values()):
-        own = reduced.with_pressure(time, coordinates)[:, coordinates.shape[1] :]
-    states = time, coordinates, rates, amplitude, mean, own
-    return {name: force.at(*states) for name, force in reduced.forces.items()}
-
-
-def quantities_of(
-    case: Case,
-    reduced: ReferenceModel,
-    time: Array,
-    coordinates: Array,
-    mean: Array | float | None = None,
-    own: Array | None = None,
-) -> dict[str, Quantities]:
-    """Return all measurements (n_states, ...) of a case or model, for states as in `forces_of`."""
-    mean = reduced.mean_density_fluctuation if mean is None else mean
-    if own is None:
-        own = reduced.with_pressure(time, coordinates)[:, coordinates.shape[1] :]
-    forces = forces_of(reduced, time, coordinates, mean, own)
-    measured = {name: totals(loads) for name, loads in forces.items()}
-    if reduced.measures:
-        measured |= reduced.measured(np.hstack((coordinates, own)), mean)
-    ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}
-    return with_coefficients(ordered, case.plan.coefficients)

@@ -17,6 +17,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.runs import ErrorEstimate as StoredEstimate
+from sphrom.artifacts.records.runs import OscillationEstimate
 from sphrom.metrics.histories import QUANTITIES
 from sphrom.metrics.measures import Quantities
 from sphrom.models.estimates import ErrorEstimate, measured_over_time, report_measured
@@ -71,11 +72,17 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         velocity_factor=factors[0],
         pressure_factor=factors[1],
         measure=measured_over_time(run),
+        oscillation={n: OscillationEstimate(**e) for n, e in run.oscillation_errors.items()},
     )
     write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
     report.info(_described(run, estimated, factors))
     report_measured(run)
+    plan = run.model.workspace.case.plan
+    for name, each in run.oscillation_errors.items():
+        units = plan.oscillations[name].units_of
+        listed = ", ".join(f"{f} {format_figure(error)} {units(f)}" for f, error in each.items())
+        report.info(f"{run.name}: estimated errors of {name}: {listed}")
 
 
 def estimate(run: FastRun) -> ErrorEstimate | None:
@@ -83,7 +90,7 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
 
     Runs of one model share the fits to its training runs.
     """
-    model = run.model.at_point(run.point)
+    model = run.on_basis
     trained = model.errors
     fitted = model.fitted_errors(run.point)
     if trained is None or fitted is None:
@@ -91,15 +98,15 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
     residual = residual_of(run, run.time, run.coordinates)
     errors = fitted.errors(run.time, residual, run.coordinates)
     sizes = trained.products.sizes(run.states)
-    squares = np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)
-    velocity_percent, pressure_percent = (100.0 * np.sqrt(squares)).tolist()
-    velocity, pressure = (errors * trained.units).T
+    squares = np.mean(errors**2, axis=-2) / np.mean(sizes**2, axis=-2)
+    velocity_percent, pressure_percent = np.moveaxis(100.0 * np.sqrt(squares), -1, 0).tolist()
+    velocity, pressure = np.moveaxis(errors * trained.units, -1, 0)
     return ErrorEstimate(
         velocity=velocity,
         pressure=pressure,
         velocity_percent=velocity_percent,
         pressure_percent=pressure_percent,
-        extrapolated=fitted.extrapolates(len(run.time)),
+        extrapolated=fitted.extrapolates(len(run.time)).tolist(),
         residual=residual,
         errors=errors,
         sizes=sizes,
@@ -111,7 +118,7 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
 
     Empty if the run has no estimates.
     """
-    model = run.model.at_point(run.point)
+    model = run.on_basis
     estimated = run.estimate
     if estimated is None:
         return {}
@@ -124,7 +131,7 @@ def measured_errors(run: FastRun) -> dict[str, Quantities]:
 
 def residual_of(run: FastRun, times: Array, coordinates: Array) -> Array:
     """Return the norm (n_states,) [/s] of the residual of a run's model at coordinates."""
-    model = run.model.at_point(run.point)
+    model = run.on_basis
     assert model.errors is not None
     return model.residual(model.errors, run.point, run.reduced, times, coordinates)
 

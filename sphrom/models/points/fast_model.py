@@ -8,9 +8,10 @@ stage `rom`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,12 +21,14 @@ from sphrom.artifacts.records.reduced_models import TrainedModel
 from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
-from sphrom.metrics.measures import Quantities, Samples, items
+from sphrom.metrics.measures import Quantities, Samples, in_regime, items
 from sphrom.metrics.series import TOO_CLOSE, UNDECIDED
 from sphrom.models.contract import Model, ModelRun, TrainedDifferences
 from sphrom.models.estimates import ErrorEstimate
-from sphrom.models.points.basis_model import BasisModel, quantities_of
+from sphrom.models.points.basis_model import BasisModel
 from sphrom.models.points.error_estimates import estimate, measured_errors
+from sphrom.models.points.oscillation_errors import OscillationErrors, oscillation_errors
+from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
 from sphrom.models.reference.stored import both
 from sphrom.models.starts import RunStarts
@@ -65,6 +68,7 @@ class FastModel(Model[ReferenceModel]):
         self._stored = stored or stored_model(workspace, section)
         self._on_basis: dict[str, BasisModel] = {}
         self._velocities: dict[str, ModeVelocities] = {}
+        self._oscillation_errors: dict[str, dict[str, OscillationErrors]] = {}
 
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""
@@ -132,6 +136,18 @@ class FastModel(Model[ReferenceModel]):
         integrator = integrator or self.at_point(point).integrator(reduced)
         return FastRun(**vars(integrator.run()), model=self, point=point, reduced=reduced)
 
+    def runs(self, points: Sequence[ParameterPoint]) -> Iterator[FastRun]:
+        """Run the model at many points, with the bits of single runs."""
+        from sphrom.models.points.many_runs import MOST, can_run_together, run_together
+
+        for name, group in groupby(points, self.basis_at):
+            some = [*group]
+            if can_run_together(self.on_basis(name)):
+                for k in range(0, len(some), MOST):
+                    yield from run_together(self, name, some[k : k + MOST])
+            else:
+                yield from map(self.run, some)
+
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
         return self.at_point(point).at(point)
@@ -165,6 +181,12 @@ class FastModel(Model[ReferenceModel]):
             return None
         viscosity = self.workspace.case.plan.kinematic_viscosity(point)
         return closure.regime(viscosity, point.factors)
+
+    def oscillation_errors(self, point: ParameterPoint) -> dict[str, OscillationErrors]:
+        """Return the errors of oscillations of the basis at a parameter point, by name."""
+        if (name := self.basis_at(point)) not in self._oscillation_errors:
+            self._oscillation_errors[name] = oscillation_errors(self.on_basis(name))
+        return self._oscillation_errors[name]
 
     def measures(
         self, reduced: ReferenceModel, time: Array, coordinates: Array
@@ -202,6 +224,11 @@ class FastRun(ModelRun):
     reduced: ReferenceModel
     diverged_at: float
     """[s], NaN for a run that went to its end."""
+
+    @property
+    def on_basis(self) -> BasisModel:
+        """The model with the basis of the run."""
+        return self.model.at_point(self.point)
 
     @property
     def failure(self) -> UnstableError | None:
@@ -245,6 +272,16 @@ class FastRun(ModelRun):
     def measured_errors(self) -> Mapping[str, Quantities]:
         """The estimated errors of all measurements (n_snapshots, ...); empty without estimates."""
         return measured_errors(self)
+
+    @cached_property
+    def oscillation_errors(self) -> Mapping[str, Mapping[str, float]]:
+        """The estimated errors of oscillations, and of the phase at the end [deg]."""
+        viscosity = self.model.workspace.case.plan.kinematic_viscosity(self.point)
+        duration = float(self.time[-1] - self.time[0])
+        return {
+            name: in_regime(self.regime, each.at(viscosity, self.point.factors, duration))
+            for name, each in self.model.oscillation_errors(self.point).items()
+        }
 
     @cached_property
     def outside(self) -> tuple[str, ...]:

@@ -16,7 +16,8 @@ import numpy as np
 from sphrom.arrays import Array, Mask
 from sphrom.artifacts.records.reduced_models import WallForce
 from sphrom.metrics.series import smoothed
-from sphrom.models.points.basis_model import BasisModel, forces_of
+from sphrom.models.points.basis_model import BasisModel
+from sphrom.models.points.quantities import forces_of
 from sphrom.models.points.stored import snapshot_times
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.correction import interpolated

@@ -8,7 +8,9 @@ import numpy as np
 
 from sphrom.arrays import Array, Mask
 from sphrom.case.points import ParameterPoint
+from sphrom.metrics.measures import Measured
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.points.quantities import quantities_of
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,
@@ -26,16 +28,18 @@ def compared(
     point: ParameterPoint,
     run: FastRun | None,
     counted: Callable[[Array], Mask],
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Callable[[], Measured]]:
     """Return sums of squares (2,) over times: of a run's errors, of the nearest states', of fields.
 
-    The first are zero without a run.
+    The first are zero without a run. The last result returns the nearest states' measurements.
     """
     model = fast.at_point(point)
     basis = model.basis
     error, floor, size = np.zeros((3, 2))
+    coordinates = []
     with fast.workspace.open(fast.workspace.mapped(point)) as mapped:
-        chosen = np.flatnonzero(counted(mapped.read("time")))
+        time = mapped.read("time")
+        chosen = np.flatnonzero(counted(time))
         end = chosen[-1] + 1
         for begin in range(chosen[0], end, N_BLOCK_SNAPSHOTS):
             block = slice(begin, min(begin + N_BLOCK_SNAPSHOTS, end))
@@ -44,13 +48,20 @@ def compared(
             fields = _fields(basis, density, velocity)
             size += _squares(basis, fields)
             mean = mean_density_fluctuation(basis, density)
-            best = reconstruct(basis, project(basis, density, velocity), mean)
+            coordinates.append(project(basis, density, velocity))
+            best = reconstruct(basis, coordinates[-1], mean)
             floor += _squares(basis, _fields(basis, best[0], best[1]), fields)
             if run is not None:
                 mean = np.full(len(density), run.reduced.mean_density_fluctuation)
                 state = reconstruct(model.whole, run.states[block], mean)
                 error += _squares(basis, _fields(basis, state[0], state[1]), fields)
-    return error, floor, size
+
+    def nearest() -> Measured:
+        reduced = fast.at(point) if run is None else run.reduced
+        case = fast.workspace.case
+        return quantities_of(case, reduced, time[chosen], np.concatenate(coordinates))
+
+    return error, floor, size, nearest
 
 
 Fields = tuple[Array, Array]

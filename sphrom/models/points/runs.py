@@ -24,13 +24,13 @@ from sphrom.metrics.measures import Quantities, Samples
 from sphrom.metrics.quantities import MEASURABLE, components
 from sphrom.models.contract import N_TIMED, basis_used
 from sphrom.models.estimates import measured_once
-from sphrom.models.points.basis_model import forces_of
 from sphrom.models.points.error_estimates import (
     distance_from,
     estimate_errors,
     steady_errors,
 )
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.points.quantities import forces_of
 from sphrom.models.reference.stored import expand, read_points, read_values, read_whole
 from sphrom.models.stable_ranges import against
 from sphrom.models.stored_run import OWN_PRESSURE, ComputedRun

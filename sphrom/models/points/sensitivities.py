@@ -28,8 +28,8 @@ from sphrom.arrays import Array
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, with_coefficients
-from sphrom.models.points.basis_model import forces_of
 from sphrom.models.points.fast_model import FastModel
+from sphrom.models.points.quantities import forces_of
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps

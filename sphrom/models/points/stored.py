@@ -23,8 +23,9 @@ from sphrom.models.reference.stored import mapped_runs, read_points
 from sphrom.models.starts import RunStarts, start
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
+from sphrom.reduction.cycle_fits import fitted_cycle
 from sphrom.reduction.held_out import best_size
-from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles, fitted_cycle
+from sphrom.reduction.limit_cycles import CycleClosure, TrainedCycles
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trained_basis import ALL_MODES, TrainedBasis
 from sphrom.reduction.trial_basis import TrialBasis, project

@@ -19,9 +19,10 @@ from sphrom.case.model_sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.quantities import COEFFICIENT
-from sphrom.models.points.basis_model import BasisModel, Start, quantities_of
+from sphrom.models.points.basis_model import BasisModel, Start
 from sphrom.models.points.force_training import ForceTraining, report_forces
 from sphrom.models.points.pressures import report_pressure
+from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.stored import (
     calibrated,
     cycle_closure,
@@ -36,9 +37,10 @@ from sphrom.models.points.stored import (
 from sphrom.models.reference.stored import read_basis
 from sphrom.reduction.calibration import Calibration, TrainingRun
 from sphrom.reduction.correction import learn_correction
+from sphrom.reduction.cycle_fits import harmonics_of
 from sphrom.reduction.error_calibration import calibrate_errors, compared_snapshots
 from sphrom.reduction.held_out import FieldProducts
-from sphrom.reduction.limit_cycles import CycleClosure, harmonics_of
+from sphrom.reduction.limit_cycles import CycleClosure
 from sphrom.reduction.own_pressure import (
     JOINT,
     PressureSpace,

@@ -144,8 +144,8 @@ def measured_of_best(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
 ) -> Measured:
     """Measure the nearest states in the basis of a model, with the model's operators."""
-    from sphrom.models.points.basis_model import quantities_of
     from sphrom.models.points.fast_model import FastModel
+    from sphrom.models.points.quantities import quantities_of
 
     fast = FastModel(workspace, model)
     time = mapped.read("time")

@@ -15,7 +15,15 @@ import numpy as np
 from sphrom.arrays import Array, Mask
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.histories import without_mean
-from sphrom.metrics.measures import Quantities, Samples, combined, with_coefficients, without_weight
+from sphrom.metrics.measures import (
+    Measured,
+    Quantities,
+    Samples,
+    combined,
+    items,
+    with_coefficients,
+    without_weight,
+)
 from sphrom.models.estimates import ErrorEstimate
 from sphrom.models.stored_run import StoredRun
 from sphrom.reduction.surface_errors import RunErrors, RunMeasure, SurfaceErrors
@@ -83,20 +91,19 @@ def compared(
     point: ParameterPoint,
     run: SurfaceRun | None,
     counted: Callable[[Array], Mask],
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Callable[[], Measured]]:
     """Return sums of squares (2,) over times: of a run's errors, of the nearest states', of fields.
 
-    The first are zero without a run.
+    The first are zero without a run. The last result returns the nearest states' measurements.
     """
     samples, _ = full_run(model.workspace, point)
     late = counted(samples.time)
-    nearest, sizes = (
-        np.sum(e[late] ** 2, axis=0) for e in field_errors(model.nearest(point), samples)
-    )
+    nearest = model.nearest(point)
+    of_nearest, sizes = (np.sum(e[late] ** 2, axis=0) for e in field_errors(nearest, samples))
     errors = np.zeros(2)
     if run is not None:
         errors = np.sum(field_errors(run, samples)[0][late] ** 2, axis=0)
-    return errors, nearest, sizes
+    return errors, of_nearest, sizes, lambda: items(nearest.measured, np.flatnonzero(late))
 
 
 def estimate(run: SurfaceRun) -> ErrorEstimate | None:

@@ -1,0 +1,1 @@
+"""Trained models in files of their own, for programs that run them without this package."""

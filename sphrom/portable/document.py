@@ -1,0 +1,135 @@
+"""A trained model as one JSON document; `docs/portable.md` describes it and how to evaluate it."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from sphrom.arrays import Array
+from sphrom.case.models import Case
+from sphrom.case.points import REYNOLDS
+from sphrom.case.studies import trained_ranges
+from sphrom.metrics.measures import Samples
+from sphrom.models.contract import Ability, Model
+from sphrom.sph.domain import Domain
+from sphrom.version import __version__
+
+FORMAT, VERSION = "sphrom model", 1
+"""The name of the format, and its version: readers refuse a greater one."""
+DIGITS = 7
+"""Digits of coordinates of outlines."""
+
+
+def document(model: Model[Any], n_columns: int = 0) -> dict[str, Any]:
+    """Return a model as a document, with arrays of NumPy in it.
+
+    With `n_columns`, it has the fields of the modes on a grid with so many columns.
+
+    Raises CaseError that names the reason if the document can't represent the model.
+    """
+    model.family.require(Ability.PORTABLE, "export", model.section.name)
+    case = model.workspace.case
+    found = {
+        "format": FORMAT,
+        "version": VERSION,
+        "sphrom": __version__,
+        "case": case.name,
+        "name": model.section.name,
+        "parameters": _parameters(model),
+        **model.family.part("portable")(model),
+        "geometry": _geometry(case.scene.domain),
+    }
+    if n_columns:
+        found["fields"] = fields(model, n_columns)
+    digest = hashlib.sha256(json.dumps(encoded(found)).encode()).hexdigest()
+    return {**found, "digest": digest}
+
+
+def encoded(value: Any, kinds: Sequence[str] = ("f8", "f4", "i2", "u1")) -> Any:
+    """Return a value for JSON: arrays as objects with their bytes in base64."""
+    if isinstance(value, np.ndarray):
+        kind = value.dtype.newbyteorder("<").str[1:]
+        assert kind in kinds
+        content = np.ascontiguousarray(value, dtype=f"<{kind}").tobytes()
+        data = base64.b64encode(content).decode("ascii")
+        return {"shape": list(value.shape), "type": kind, "data": data}
+    if isinstance(value, dict):
+        return {name: encoded(each) for name, each in value.items()}
+    return [encoded(each) for each in value] if isinstance(value, (list, tuple)) else value
+
+
+def content(model: Model[Any], n_columns: int = 0) -> bytes:
+    """Return the document of a model as a file has it; see `document`."""
+    return json.dumps(encoded(document(model, n_columns)), allow_nan=False).encode()
+
+
+def fields(model: Model[Any], n_columns: int) -> dict[str, Any]:
+    """Return velocity and pressure of the modes at the centres of a grid's cells.
+
+    Outside of the fluid they are zero. Raises CaseError if the model has no such fields.
+    """
+    domain = model.workspace.case.scene.domain
+    width, height = domain.lengths
+    n_rows = max(1, round(n_columns * height / width))
+    x = domain.lower[0] + width * (np.arange(n_columns) + 0.5) / n_columns
+    y = domain.lower[1] + height * (np.arange(n_rows) + 0.5) / n_rows
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = domain.contains(points)
+    samples: Samples = model.family.part("mode_samples")(model, points[inside])
+    modes = np.zeros((3, len(samples.pressure), len(points)), dtype=np.float32)
+    modes[:2, :, inside] = np.moveaxis(samples.velocity, 2, 0)
+    modes[2][:, inside] = samples.pressure
+    return {
+        "nx": n_columns,
+        "ny": n_rows,
+        "lower": list(domain.lower),
+        "upper": list(domain.upper),
+        "inside": inside.reshape(n_rows, n_columns).astype(np.uint8),
+        "modes": modes.reshape(3, -1, n_rows, n_columns),
+    }
+
+
+def _parameters(model: Model[Any]) -> list[dict[str, Any]]:
+    case: Case = model.workspace.case
+    scales = dict(zip(case.plan.parameter_names, case.plan.largest_values.tolist(), strict=True))
+    return [
+        {
+            "name": name,
+            "unit": "1",
+            "default": math.sqrt(low * high) if name == REYNOLDS else 0.5 * (low + high),
+            "low": low,
+            "high": high,
+            "scale": scales[name] or 1.0,
+            "logarithm": name == REYNOLDS,
+        }
+        for name, (low, high) in trained_ranges(case, model.section).items()
+    ]
+
+
+def _geometry(domain: Domain) -> dict[str, Any]:
+    return {
+        "lower": list(domain.lower),
+        "upper": list(domain.upper),
+        "periodic": list(domain.periodic),
+        "walls": list(domain.wall_names),
+        "fluid": _polygons(domain.fluid),
+        "solids": [{"name": name, "polygons": _polygons(shape)} for name, shape in domain.polygons],
+    }
+
+
+def _polygons(shape: BaseGeometry) -> list[list[list[list[float]]]]:
+    """Return the rings of polygons: outer ones, each with its holes."""
+    parts = getattr(shape, "geoms", [shape])
+    return [[_ring(ring.coords) for ring in (part.exterior, *part.interiors)] for part in parts]
+
+
+def _ring(corners: Any) -> list[list[float]]:
+    rows: Array = np.asarray(corners)[:, :2]
+    return [[float(f"{value:.{DIGITS}g}") for value in row] for row in rows.tolist()]
