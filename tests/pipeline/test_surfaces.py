@@ -103,12 +103,12 @@ def test_errors_between_training_runs_are_near_their_estimates(tank: Path) -> No
 
 
 def test_training_chooses_the_frequency_of_another_run(
-    tank: Path, sphrom: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+    copied: Callable[[dict[str, Any]], Path], sphrom: Callable[..., Result]
 ) -> None:
-    monkeypatch.chdir(tank.parents[1])
+    out = copied(TANK)
     keys = ("--set", "training={ratio: [0.8, 0.9], tolerance: 60%, budget: 3}", "--quiet")
     sphrom("train", "tank.yaml", *keys, code=0)
-    told = json.loads((tank / "training/training.json").read_text())
+    told = json.loads((out / "training/training.json").read_text())
     ratios = sorted(point["ratio"] for point in told["about"]["trained"])
     assert told["about"]["ending"] == "within"
     assert ratios[::2] == [0.8, 0.9]
