@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from sphrom.artifacts.records.fit import FittedHistory as FittedHistory
     from sphrom.fit.fit import Estimate as Estimate
     from sphrom.fit.fit import Fit as Fit
-    from sphrom.models.points.error_estimates import ErrorEstimate as ErrorEstimate
+    from sphrom.models.estimates import ErrorEstimate as ErrorEstimate
     from sphrom.sph.terms import Term as Term
 
 FROM_API = {
-    "ErrorEstimate": "models.points.error_estimates",
+    "ErrorEstimate": "models.estimates",
     "Estimate": "fit.fit",
     "Fit": "fit.fit",
     "FittedHistory": "artifacts.records.fit",

@@ -16,7 +16,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.measures import Measured, Samples, since, why_missing
 from sphrom.metrics.quantities import AXES, MEASURABLE, PLACED, is_vector
 from sphrom.models.contract import ModelRun
-from sphrom.models.points.error_estimates import ErrorEstimate
+from sphrom.models.estimates import ErrorEstimate
 from sphrom.models.points.sensitivities import Tangents
 from sphrom.setup.assembly import field_measures
 from sphrom.signals import guarded

@@ -169,8 +169,6 @@ def check_surface(case: Case) -> Found:
             yield "scene.body_force", f"must not depend on x and y for {reason}"
     if case.basis.subsets:
         yield "basis.subsets", f"{plain} {reason}, which have one basis; leave it out"
-    if case.training.ranges:
-        yield "training", f"needs estimates of errors, which {reason} don't have; leave it out"
     if case.sweep.sensitivities:
         yield "sweep.sensitivities", f"{plain} {reason}; set false"
 

@@ -101,9 +101,9 @@ class Plan(TimesPlan):
 
     def has_error_estimate(self, name: str) -> bool:
         """Return whether the errors of a basis's models on the reference points are estimated."""
-        if self._scene.has_surface:
-            return False
         wanted = self._case.operators.error_estimate
+        if self._scene.has_surface:  # others predict each training run
+            return wanted is not False and len(self.train_points) > 1
         if wanted == "auto":
             return self.basis_size(name) <= MOST_ESTIMATED_MODES
         return wanted

@@ -166,10 +166,11 @@ class _PointComparison:
             compared = Limit(model.name, self._sampled(run), basis, size, status=status)
             self._describe_flow(run, compared.samples)
             if status == "complete":  # a run that stopped early has no estimates and no speed-up
+                samples, full = self._without_weight(compared.samples, self.full)
                 estimate = estimate_row(
                     trajectory,
-                    compared.samples,
-                    self.full,
+                    samples,
+                    full,
                     self.probes,
                     case.compare.from_time,
                     **self._described(compared),
@@ -231,13 +232,17 @@ class _PointComparison:
         role = "" if run.basis is None else role_of(self.case, run.basis, self.point)
         return {"compared": run.name, "parameters": self.point.label, "role": role}
 
+    def _without_weight(self, samples: Samples, reference: Samples) -> tuple[Samples, Samples]:
+        """Return samples of two runs; with a free surface, without the weight of fluid at rest."""
+        weight = self.case.plan.weight_at(self.point, self.probes.all)
+        return (
+            (samples, reference) if weight is None else without_weight(samples, reference, weight)
+        )
+
     def _add(self, run: Limit, against: str = FULL) -> None:
         """Add the errors of a run, and its samples."""
-        samples = run.samples
-        reference = self.references[against]
+        samples, reference = self._without_weight(run.samples, self.references[against])
         plan = self.case.plan
-        if (weight := plan.weight_at(self.point, self.probes.all)) is not None:
-            samples, reference = without_weight(samples, reference, weight)
         begin = self.case.compare.from_time
         history = compare(samples, reference, self.probes, begin, plan.longest_sound_period)
         if run.status == "complete" and len(history.time) == 0:

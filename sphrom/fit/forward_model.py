@@ -4,7 +4,8 @@ The samples come from the training runs. The model repeats each of them without 
 that run, so its histories differ from those of the full run like a prediction, with the same
 correlations over time and between places. The differences are scaled by the model's estimated error
 at the fitted parameters over that of the training run, both root mean squares over the fluid and
-the run: that of the velocity for flow rates too, and for forces the larger of both.
+the run: that of the velocity for flow rates too, and for forces the larger of both. Those of a
+model without equations are scaled by the estimated error of each measurement.
 """
 
 from __future__ import annotations
@@ -96,7 +97,20 @@ class FittedModel:
         ----------
         known : a cache of the differences in training runs, to which new ones are added.
         """
-        return None
+        run = self.fast.run(self.point(place))
+        if any(history.measure not in run.measured_errors for history in self.histories):
+            return None
+        expected = np.sqrt(np.mean(self.stacked(run.measured_errors) ** 2, axis=0))
+        steps = self._case.plan.steps
+        samples = []
+        for each in self.fast.trained_differences([run.point]):
+            differences = self.stacked(each.measured)
+            sizes = np.sqrt(np.mean(differences**2, axis=0))
+            factors = expected / np.where(sizes > 0.0, sizes, 1.0)
+            time = steps.start_time + steps.snapshot_interval * np.arange(len(differences))
+            histories = (differences * factors).T
+            samples.append([np.interp(run.time, time, history) for history in histories])
+        return np.array(samples).transpose(0, 2, 1)
 
     def __call__(self, place: Array) -> tuple[Array, Array] | None:
         """Return values (n_values,) and derivatives (n_values, n_free) at a place."""

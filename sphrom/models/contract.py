@@ -23,12 +23,19 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError
 from sphrom.machine import seconds_of
-from sphrom.metrics.measures import Measured, Quantities, Samples, shares
+from sphrom.metrics.measures import (
+    Measured,
+    Quantities,
+    Samples,
+    mean_squares,
+    shares,
+    variations,
+)
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
-    from sphrom.models.points.error_estimates import ErrorEstimate, Pair
+    from sphrom.models.estimates import ErrorEstimate, Pair
     from sphrom.models.points.sensitivities import Tangents
 
 N_TIMED = 5
@@ -100,6 +107,10 @@ class Family:
         - `sized(workspace, section, basis)` returns a section with its number of modes in a basis.
         - `stored_run` is the class of its stored runs, a `StoredRun`.
         - `limits(workspace, sections, point, probes)` yields each `Limit` of the models at a point.
+        - `compared(model, point, run, counted)` returns sums of squares (2,) of velocity and
+          pressure over space, and over the times of a full run that `counted` chooses: of the
+          errors of a run (zero if it is None), of those of the nearest states, and of the fields.
+          A fourth result is a function that returns the nearest states' measurements.
         - `portable(model)` returns the arrays of a model for other programs, `mode_samples(model,
           points)` the fields of the constant part of its states and of its modes.
         - `measured_at(workspace, point)` returns measurements of a mapped full run that are not
@@ -142,6 +153,7 @@ FAMILIES: Mapping[str, Family] = {
             "trained": "points.training:trained_model",
             "model": "points.fast_model:FastModel",
             "run_point": "points.runs:run_point",
+            "compared": "points.mapped_errors:compared",
             "stored_run": "points.runs:CoordinateRun",
             "portable": "points.portable:parts",
             "mode_samples": "points.portable:mode_samples",
@@ -180,12 +192,11 @@ FAMILIES: Mapping[str, Family] = {
             "stored_run": "surface.model:StoredSurfaceRun",
             "limits": "surface.model:limits",
             "measured_at": "surface.stored:measured_at",
+            "compared": "surface.errors:compared",
         },
         lacks={
             Ability.EQUATIONS: _NO_POLYNOMIAL,
             Ability.SENSITIVITIES: _NO_POLYNOMIAL,
-            Ability.TRAINING: "needs estimates of errors, which models of a free surface don't "
-            "have; list the runs to train on in parameters.train",
             Ability.EXTREMES: "maps no models of a free surface",
             Ability.MEMORY: "models of a free surface have no memory",
             Ability.MODE_FIELDS: "models of a free surface need no splines of modes",
@@ -373,8 +384,21 @@ class ModelRun(ABC):
 
     @property
     def measured_sizes(self) -> dict[str, Pair]:
-        """Mean squares of these errors, and of the change in the run, by column of a table."""
-        return {}
+        """Mean squares of these errors, and of the change in the run, by column of a table.
+
+        Columns are such as `drag_force_x`, and for vectors `drag_force`. Only the times that count
+        enter. The second is zero for components with only noise.
+        """
+        found: dict[str, Pair] = {}
+        plan = self.model.workspace.case.plan
+        for name, each in self.measured_errors.items():
+            counted = plan.counted(name, self.time)
+            for quantity, error in each.items() if counted.any() else ():
+                values = self.measured[name][quantity][counted]
+                sizes = variations(quantity, values, with_weight=plan.with_weight)
+                squares = mean_squares(quantity, error[counted])
+                found |= {f"{name}_{part}": (each, sizes[part]) for part, each in squares.items()}
+        return found
 
     @property
     def measured_shares(self) -> dict[str, float | None]:

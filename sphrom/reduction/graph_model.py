@@ -144,6 +144,13 @@ class GraphModel:
         )
         return np.asarray(self.basis.space.bottom + self.depth + fluctuation)
 
+    def amplitude(self, coordinates: Array) -> Array:
+        """Return the amplitude (n_times,) [m] of waves, by their energy."""
+        n_modes = len(self.basis.stream_modes)
+        kinetic = np.sum(coordinates[:, :n_modes] ** 2, axis=1)
+        potential = np.sum(coordinates[:, n_modes:] ** 2, axis=1)
+        return np.sqrt(potential + 2.0 * kinetic / (self.gravity * self.basis.space.width))
+
     def steepness(self, coordinates: Array) -> Array:
         """Return the largest slope (...,) of the surface at the columns of integration."""
         slopes = surface_modes_at(self.basis, integration_columns(self.basis.space)[0], 1)

@@ -30,8 +30,9 @@ for the velocity, too many elevation modes have no restoring force and drift.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -79,7 +80,8 @@ def train(
     basis: SurfaceBasis,
     runs: Sequence[TrainingRun],
     sizes: Sequence[int],
-    advance: Callable[[int], None],
+    advance: Callable[[int], None] = lambda done: None,
+    n_surface: Mapping[int, int] = MappingProxyType({}),
 ) -> dict[int, TrainedGraph]:
     """Return models by the number of modes, each with its best number of elevation modes.
 
@@ -88,13 +90,16 @@ def train(
     Parameters
     ----------
     advance : called with one for each size that is done.
+    n_surface : the number of elevation modes of a size, if it is known.
     """
     products = [basis.products(run.coefficients, run.elevation) for run in runs]
     found: dict[int, TrainedGraph] = {}
     for size in sizes:
         n_modes = min(size, basis.modes_above_noise)
         same = (one for one in found.values() if one.n_modes == n_modes)
-        found[size] = next(same, None) or _train(basis, n_modes, runs, products)
+        found[size] = next(same, None) or _train(
+            basis, n_modes, runs, products, n_surface.get(size)
+        )
         advance(1)
     return found
 
@@ -164,8 +169,9 @@ def _train(
     n_modes: int,
     runs: Sequence[TrainingRun],
     products: Sequence[tuple[Array, Array, Array]],
+    n_surface: int | None,
 ) -> TrainedGraph:
-    """Return the calibrated model with the best number of elevation modes."""
+    """Return the calibrated model with a number of elevation modes, by default the best."""
     bottom = basis.space.bottom
     rise = float(np.mean([run.elevation.mean() - bottom - run.depth for run in runs]))
 
@@ -175,7 +181,8 @@ def _train(
         return _Fit([_Projected.of(reduced, run, product, rise) for run, product in pairs])
 
     n_most = min(n_modes, len(basis.surface_modes))
-    fits = [fit_of(count, rise).improved(GRAVITY_STEPS, 2) for count in range(1, n_most + 1)]
+    counts = range(1, n_most + 1) if n_surface is None else [min(n_surface, n_most)]
+    fits = [fit_of(count, rise).improved(GRAVITY_STEPS, 2) for count in counts]
     fits.sort(key=_Fit.error)
     if len({run.depth for run in runs}) == 1:
         closed = [fit.improved(CLOSURE_STEPS, len(fit.numbers)) for fit in fits[:N_CLOSED]]

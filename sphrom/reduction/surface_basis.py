@@ -13,6 +13,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.reduction.stream_functions import StreamSpace, cosine_coordinates
+from sphrom.reduction.surface_errors import SurfaceErrors
 
 N_COLUMNS, N_HEIGHTS = 24, 6
 """Of the points of integration."""
@@ -151,6 +152,7 @@ class TrainedGraph(Record):
     uncalibrated_velocity_error: float = attribute("1", "of the velocity, not calibrated")
     best_elevation_error: float = attribute("1", "of the elevation's projection")
     best_velocity_error: float = attribute("1", "of the velocity's projection")
+    errors: SurfaceErrors | None = part(default=None)
 
     @property
     def n_modes(self) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from sphrom.artifacts import open_artifact
 from sphrom.case.fields import Section
 from sphrom.case.loader import case_of_text
-from sphrom.case.model_sections import ReducedModelSection
+from sphrom.case.model_sections import ALL, ReducedModelSection
 from sphrom.case.models import VERSIONS, inputs_digest, section_inputs, stated
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import fast_section, sweep_model, sweep_name
@@ -207,6 +207,8 @@ class Workspace(ArtifactFolder):
         kind = f"operators{self._files.suffix}"
         if "splines" not in self._files.bases:
             parents = {"basis": self.basis(), **self._mapped(plan.train_points)}
+            if plan.has_error_estimate(ALL):  # it takes fields and measurements
+                parents |= self._full_runs(plan.train_points)
             return self._target(kind, "", {"sizes": plan.surface_sizes}, parents)
         trained = dict.fromkeys(p for name in plan.reference_bases for p in plan.bases[name])
         parents = {"basis": self.basis(), **self._mapped(trained)}

@@ -23,17 +23,8 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import items, since
 from sphrom.metrics.series import OSCILLATION, STEADY
 from sphrom.models import fom
-from sphrom.models.contract import Measured
-from sphrom.models.points.fast_model import FastModel, FastRun
-from sphrom.models.points.quantities import quantities_of
+from sphrom.models.contract import Measured, ModelRun, model_of
 from sphrom.models.stages import OPERATORS, map_runs
-from sphrom.reduction.trial_basis import (
-    TrialBasis,
-    mean_density_fluctuation,
-    project,
-    reconstruct,
-    weighted_mean,
-)
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import runs_that_fit
 from sphrom.store.trajectory import measured_of
@@ -45,8 +36,6 @@ MADE_HERE = ("basis", "spline", "b-spline", "operators")
 """Kinds of artifacts that these stages make."""
 FIGURES = OSCILLATION[:2]
 """Figures of oscillations with relative errors."""
-N_BLOCK_SNAPSHOTS = 16
-"""Number of snapshots to read at once."""
 NONE = np.full(len(LIMITED), np.inf)
 """The errors of a diverged run, and missing estimates."""
 
@@ -157,7 +146,7 @@ class StageModel:
         variant = Variant(replace(context, force=False), case, FOLDER, only=MADE_HERE)
         self.workspace = variant.made(OPERATORS)
         self._points = points
-        self._fast = FastModel(self.workspace, model)
+        self._fast = model_of(self.workspace, model)
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (3,) of the model at a point, infinite if there are none."""
@@ -190,28 +179,9 @@ class StageModel:
         The errors (3,) [%] of the model's run are infinite if it diverged. Those of the basis are
         of the best approximation; with `approximation`, only these are computed.
         """
-        model = self._fast.at_point(point)
-        basis = model.basis
         run = None if approximation else self._run(point)
-        error, floor, size = np.zeros((3, 2))
-        coordinates = []
-        with self.workspace.open(self.workspace.mapped(point)) as mapped:
-            counted = np.flatnonzero(self._counted(mapped.read("time")))
-            end = counted[-1] + 1
-            for begin in range(counted[0], end, N_BLOCK_SNAPSHOTS):
-                block = slice(begin, min(begin + N_BLOCK_SNAPSHOTS, end))
-                density = mapped.dataset("density_fluctuation")[block]
-                velocity = mapped.dataset("velocity")[block]
-                fields = _fields(basis, density, velocity)
-                size += _squares(basis, fields)
-                mean = mean_density_fluctuation(basis, density)
-                coordinates.append(project(basis, density, velocity))
-                best = reconstruct(basis, coordinates[-1], mean)
-                floor += _squares(basis, _fields(basis, best[0], best[1]), fields)
-                if run is not None:
-                    mean = np.full(len(density), run.reduced.mean_density_fluctuation)
-                    state = reconstruct(model.whole, run.states[block], mean)
-                    error += _squares(basis, _fields(basis, state[0], state[1]), fields)
+        compared = self._fast.family.part("compared")
+        error, floor, size, nearest = compared(self._fast, point, run, self._counted)
         found = NONE if run is None else np.append(_percent(error, size), np.inf)
         least = np.append(_percent(floor, size), np.inf)
         if self.workspace.case.training.quantity != OSCILLATING:
@@ -219,11 +189,8 @@ class StageModel:
         with self.workspace.open(self.workspace.full_run(point)) as full:
             time = full.read("time")
             recorded = measured_of(self.workspace.case, full)
-        reduced = self._fast.at(point) if run is None else run.reduced
-        nearest = quantities_of(
-            self.workspace.case, reduced, time[counted], np.concatenate(coordinates)
-        )
-        least[-1] = self._oscillation_error(time[counted], nearest, items(recorded, counted))
+        counted = np.flatnonzero(self._counted(time))
+        least[-1] = self._oscillation_error(time[counted], nearest(), items(recorded, counted))
         if run is not None:
             found[-1] = self._oscillation_error(time, run.measured, recorded)
         return found, least
@@ -237,7 +204,7 @@ class StageModel:
         ]
         return max(errors, default=np.inf)
 
-    def _run(self, point: ParameterPoint) -> FastRun | None:
+    def _run(self, point: ParameterPoint) -> ModelRun | None:
         """Return the run at a point; None if it diverges or needs too many steps."""
         try:
             run = self._fast.run(point)
@@ -248,23 +215,6 @@ class StageModel:
     def _counted(self, time: Array) -> Mask:
         """Return the mask of the compared times."""
         return since(time, self.workspace.case.compare.from_time)
-
-
-Fields = tuple[Array, Array]
-"""Velocities (n_snapshots, n_points, 2), and densities (n_snapshots, n_points) less their means."""
-
-
-def _fields(basis: TrialBasis, density: Array, velocity: Array) -> Fields:
-    return velocity, density - weighted_mean(density, basis.weights)[:, None]
-
-
-def _squares(basis: TrialBasis, fields: Fields, others: Fields | None = None) -> Array:
-    """Return sums of squares (2,) over points and snapshots, of fields or of their differences."""
-    velocity, density = fields
-    if others is not None:
-        velocity, density = velocity - others[0], density - others[1]
-    of_velocity = np.sum(np.sum(velocity**2, axis=2) @ basis.weights)
-    return np.array([of_velocity, np.sum(density**2 @ basis.weights)])
 
 
 def _percent(squares: Array, sizes: Array) -> Array:

@@ -116,6 +116,7 @@ def answers(model: sphrom.Model) -> dict[str, Any]:
     found = {"coordinates": result.coordinates, **result.measures, **fields}
     if (estimate := result.error_estimate) is not None:
         found |= {"velocity error": estimate.velocity, "pressure error": estimate.pressure}
+    if "lid" in model.parameters:
         found["slopes"] = model.sensitivities("lid").coordinates
     return found
 

@@ -79,6 +79,46 @@ def test_a_model_between_training_runs_is_close_and_says_so(tank: Path) -> None:
     assert error["fast"] < error["fast, not calibrated"]
 
 
+def test_errors_between_training_runs_are_near_their_estimates(tank: Path) -> None:
+    pairs = {
+        (r["measured"], r["quantity"]): (r["relative_l2 [%]"], r["estimated [%]"])
+        for r in rows(tank / "tables/measures.csv")
+        if r["compared"] == "fast" and "ratio=0.85" in r["parameters"] and r["estimated [%]"]
+    }
+    asked = (
+        ("gauge", "elevation"),
+        ("wall", "velocity_y"),
+        ("wall", "pressure"),
+        ("side", "force_x"),
+    )
+    for key in asked:
+        error, estimated = map(float, pairs[key])
+        assert 0.25 * estimated < error < 2.0 * estimated, key
+    with h5py.File(tank / "rom-fast-reynolds500-ratio0.85.h5") as run:
+        assert "inside" in str(run["error_estimate"].attrs["training"])
+    (row,) = (r for r in rows(tank / "tables/estimates.csv") if "0.85" in r["parameters"])
+    for field in ("velocity", "pressure"):
+        error, estimated = (float(row[f"{field}_{name} [%]"]) for name in ("error", "estimate"))
+        assert 0.25 * estimated < error < 2.0 * estimated
+
+
+def test_training_chooses_the_frequency_of_another_run(
+    copied: Callable[[dict[str, Any]], Path], sphrom: Callable[..., Result]
+) -> None:
+    out = copied(TANK)
+    keys = ("--set", "training={ratio: [0.8, 0.9], tolerance: 60%, budget: 3}", "--quiet")
+    sphrom("train", "tank.yaml", *keys, code=0)
+    told = json.loads((out / "training/training.json").read_text())
+    ratios = sorted(point["ratio"] for point in told["about"]["trained"])
+    assert told["about"]["ending"] == "within"
+    assert ratios[::2] == [0.8, 0.9]
+    assert 0.8 < ratios[1] < 0.9
+    first = told["stages"][0]
+    assert (
+        0.0 < first["velocity_floor"] < first["velocity_error"] < 2.0 * first["velocity_estimate"]
+    )
+
+
 def test_its_measurements_agree_with_each_other(tank: Path) -> None:
     with h5py.File(tank / "rom-fast-reynolds500-ratio0.85.h5") as run:
         time, centre = run["time"][()], run["measure/middle/centre_of_mass"][()]

@@ -10,7 +10,6 @@ import numpy as np
 from sphrom.arrays import Array, Indices
 from sphrom.declaration import Labels, Record, attribute, dataset, labelled, part
 from sphrom.metrics.quantities import (
-    FROM_FIELDS,
     IN_FLUID,
     MEASURABLE,
     OF_WALLS,
@@ -264,7 +263,7 @@ _FACTOR = (
 )
 
 
-_MEASURED = (*OF_WALLS, *FROM_FIELDS)
+_MEASURED = (*OF_WALLS, *IN_FLUID)
 
 
 class MeasuredOnce(Record):
@@ -292,11 +291,22 @@ class OscillationEstimate(Record):
     phase: float | None = attribute("deg", "estimated error of the phase at the end", default=None)
 
 
-class ErrorEstimate(Record):
+class SurfaceErrorEstimate(Record):
     """The errors of a run, estimated without a full run."""
 
     velocity: Array = labelled("snapshot", VELOCITY_ERROR)
     pressure: Array = labelled("snapshot", PRESSURE_ERROR)
+    training: Literal["inside", "outside"] = attribute(
+        "",
+        "whether the run is inside or outside of the trained parameters and times; outside the "
+        "estimate is extrapolated",
+    )
+    measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
+
+
+class ErrorEstimate(SurfaceErrorEstimate):
+    """The same with a residual, and changes since training."""
+
     change: Array = dataset(
         "snapshot cause",
         "of the inner product",
@@ -304,16 +314,10 @@ class ErrorEstimate(Record):
         "since the training runs ended",
     )
     decay_rate: float = attribute("1/s", "decay rate of errors")
-    training: Literal["inside", "outside"] = attribute(
-        "",
-        "whether the run is inside or outside of the trained parameters and times; outside the "
-        "estimate is extrapolated",
-    )
     velocity_constant: float = attribute("m/s over the inner product's", _CONSTANT)
     pressure_constant: float = attribute("Pa over the inner product's", _CONSTANT)
     velocity_factor: float | None = attribute("1", _FACTOR, default=None)
     pressure_factor: float | None = attribute("1", _FACTOR, default=None)
-    measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
     oscillation: Mapping[str, OscillationEstimate] = part(default_factory=dict)
 
 
@@ -423,6 +427,7 @@ class SurfaceRun(Recorded, Timed, Settings, Ended, kind="sphrom/surface-run"):
     doubts: str | None = attribute(
         "", "how far its states are from all of those in training, one per line", default=None
     )
+    error_estimate: SurfaceErrorEstimate | None = part(default=None)
 
     generalized_coordinates: Array = dataset(
         "snapshot coordinate", "of the modes, m",

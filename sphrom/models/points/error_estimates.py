@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,41 +17,15 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.runs import ErrorEstimate as StoredEstimate
-from sphrom.artifacts.records.runs import MeasuredOnce, OscillationEstimate
+from sphrom.artifacts.records.runs import OscillationEstimate
 from sphrom.metrics.histories import QUANTITIES
-from sphrom.metrics.measures import ONLY_NOISE, Quantities, mean_squares, variations
-from sphrom.metrics.quantities import COEFFICIENT
+from sphrom.metrics.measures import Quantities
+from sphrom.models.estimates import ErrorEstimate, measured_over_time, report_measured
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import field_of
 
 if TYPE_CHECKING:
     from sphrom.models.points.fast_model import FastRun
-
-
-Pair = tuple[float, float]
-"""Mean squares of an error and of the quantity's change."""
-
-
-@dataclass(frozen=True)
-class ErrorEstimate:
-    """Estimated errors of a run."""
-
-    velocity: Array = field(repr=False)
-    """(n_snapshots,) root mean square error of the velocity over the fluid [m/s]."""
-    pressure: Array = field(repr=False)
-    """(n_snapshots,) root mean square error of the pressure less its mean [Pa]."""
-    velocity_percent: float
-    """Over the whole run, relative to the root mean square of its velocity [%]."""
-    pressure_percent: float
-    """Over the whole run, relative to the root mean square of its pressure less its mean [%]."""
-    extrapolated: bool
-    """Whether the run is outside the trained parameters or times."""
-    residual: Array = field(repr=False)
-    """(n_snapshots,) norm of the residual of the rates [/s]."""
-    errors: Array = field(repr=False)
-    """(n_snapshots, 2) root mean square errors of velocity and c0 rho'/rho0 [m/s]."""
-    sizes: Array = field(repr=False)
-    """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -81,11 +55,11 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     if fitted is None or estimated is None:
         artifact.write("residual", residual_of(run, run.time, run.coordinates))
         return
+    assert estimated.residual is not None
     artifact.write("residual", estimated.residual)
     factors = [None, None]
     if fitted.factors is not None and not estimated.extrapolated:
         factors = fitted.factors.tolist()
-    errors = run.measured_errors
     constants = (fitted.constants * trained.units).tolist()
     stored = StoredEstimate(
         velocity=estimated.velocity,
@@ -97,22 +71,13 @@ def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
         pressure_constant=constants[1],
         velocity_factor=factors[0],
         pressure_factor=factors[1],
-        measure={
-            name: measured_once(
-                {q: np.sqrt(np.mean(e[counted] ** 2, axis=0))[None] for q, e in each.items()}
-            )
-            for name, each in errors.items()
-            if (counted := run.model.workspace.case.plan.counted(name, run.time)).any()
-        },
+        measure=measured_over_time(run),
         oscillation={n: OscillationEstimate(**e) for n, e in run.oscillation_errors.items()},
     )
     write_record(artifact, stored, "error_estimate")
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
     report.info(_described(run, estimated, factors))
-    if known := run.measured_shares:
-        words = {n: ONLY_NOISE if v is None else f"{format_figure(v)} %" for n, v in known.items()}
-        listed = ", ".join(f"{name} {share}" for name, share in words.items())
-        report.info(f"{run.name}: estimated errors of measurements, over their changes: {listed}")
+    report_measured(run)
     plan = run.model.workspace.case.plan
     for name, each in run.oscillation_errors.items():
         units = plan.oscillations[name].units_of
@@ -145,32 +110,6 @@ def estimate(run: FastRun) -> ErrorEstimate | None:
         residual=residual,
         errors=errors,
         sizes=sizes,
-    )
-
-
-def measured_sizes(run: FastRun) -> dict[str, Pair]:
-    """Return mean squares of estimated errors and of the change in the run, by column.
-
-    Columns are such as `drag_force_x`, and for vectors `drag_force`. Only the times that count
-    enter. The second is zero for components with only noise.
-    """
-    found = dict[str, Pair]()
-    plan = run.model.workspace.case.plan
-    for name, each in run.measured_errors.items():
-        counted = plan.counted(name, run.time)
-        for quantity, error in each.items() if counted.any() else ():
-            sizes = variations(quantity, run.measured[name][quantity][counted])
-            squares = mean_squares(quantity, error[counted])
-            found |= {f"{name}_{part}": (square, sizes[part]) for part, square in squares.items()}
-    return found
-
-
-def measured_once(quantities: Quantities) -> MeasuredOnce:
-    """Return measurements at one instant (1, ...) in the form of artifacts."""
-    recorded = {q: v for q, v in quantities.items() if q != COEFFICIENT}
-    return MeasuredOnce(
-        arrays={q: values[0] for q, values in recorded.items() if values.ndim > 1},
-        numbers={q: float(values[0]) for q, values in recorded.items() if values.ndim == 1},
     )
 
 

@@ -24,14 +24,9 @@ from sphrom.errors import UnstableError
 from sphrom.metrics.measures import Quantities, Samples, in_regime, items
 from sphrom.metrics.series import TOO_CLOSE, UNDECIDED
 from sphrom.models.contract import Model, ModelRun, TrainedDifferences
+from sphrom.models.estimates import ErrorEstimate
 from sphrom.models.points.basis_model import BasisModel
-from sphrom.models.points.error_estimates import (
-    ErrorEstimate,
-    Pair,
-    estimate,
-    measured_errors,
-    measured_sizes,
-)
+from sphrom.models.points.error_estimates import estimate, measured_errors
 from sphrom.models.points.oscillation_errors import OscillationErrors, oscillation_errors
 from sphrom.models.points.quantities import quantities_of
 from sphrom.models.points.stored import Fields, mapped_starts, stored_model, stored_starts
@@ -287,11 +282,6 @@ class FastRun(ModelRun):
             name: in_regime(self.regime, each.at(viscosity, self.point.factors, duration))
             for name, each in self.model.oscillation_errors(self.point).items()
         }
-
-    @property
-    def measured_sizes(self) -> dict[str, Pair]:
-        """Mean squares of these errors, and of the change in the run, by column of a table."""
-        return measured_sizes(self)
 
     @cached_property
     def outside(self) -> tuple[str, ...]:

@@ -23,10 +23,10 @@ from sphrom.machine import seconds_of
 from sphrom.metrics.measures import Quantities, Samples
 from sphrom.metrics.quantities import MEASURABLE, components
 from sphrom.models.contract import N_TIMED, basis_used
+from sphrom.models.estimates import measured_once
 from sphrom.models.points.error_estimates import (
     distance_from,
     estimate_errors,
-    measured_once,
     steady_errors,
 )
 from sphrom.models.points.fast_model import FastModel, FastRun

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.artifacts import write_record
 from sphrom.artifacts.records.reduced_models import TrainedSurfaceModel
+from sphrom.artifacts.records.runs import SurfaceErrorEstimate
 from sphrom.case.measure_sections import ForceMeasure, RecordedMeasure, SurfaceMeasure
 from sphrom.case.model_sections import ALL, ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.metrics.measures import Probes, Quantities, Samples, grid_points, with_coefficients
+from sphrom.metrics.measures import (
+    Probes,
+    Quantities,
+    Samples,
+    combined,
+    grid_points,
+    items,
+    with_coefficients,
+)
 from sphrom.models.contract import (
     N_TIMED,
     SURFACE,
@@ -22,14 +32,18 @@ from sphrom.models.contract import (
     Measured,
     Model,
     ModelRun,
+    TrainedDifferences,
     best_name,
 )
+from sphrom.models.estimates import ErrorEstimate, measured_over_time, report_measured
 from sphrom.models.starts import RunStarts, start
 from sphrom.models.stored_run import ComputedRun
+from sphrom.models.surface.errors import estimate, measured_errors
 from sphrom.models.surface.stored import elevation_of, trained_size
+from sphrom.plots.tables import format_figure
 from sphrom.reduction.graph_model import GraphModel, GraphRun, calibrated_model
 from sphrom.reduction.polynomial_model import OutputTimes
-from sphrom.reduction.surface_basis import SLOPE_BEYOND_TRAINING
+from sphrom.reduction.surface_basis import SLOPE_BEYOND_TRAINING, SurfaceBasis, TrainedGraph
 from sphrom.setup.assembly import field_measures, run_attributes, uniform_force
 from sphrom.sph.fluid import fluctuation_of
 from sphrom.store.trajectory import field_datasets, force_datasets, write_positions
@@ -66,16 +80,20 @@ class SurfaceModel(Model[SurfaceModelAt]):
         self,
         workspace: Workspace,
         section: ReducedModelSection,
-        stored: TrainedSurfaceModel | None = None,
+        stored: TrainedSurfaceModel | tuple[SurfaceBasis, TrainedGraph] | None = None,
     ) -> None:
-        if stored is None:
-            self.basis, self.trained = trained_size(workspace, section)
-        else:
+        """Take the model from the content of its file, or its basis and graph, if given."""
+        known = None
+        if isinstance(stored, TrainedSurfaceModel):
             self.basis = stored.basis
             self.trained = stored.graph
+            known = stored.starts
+        else:
+            self.basis, self.trained = stored or trained_size(workspace, section)
+        self.errors = self.trained.errors if section.is_calibrated else None
+        """Those of training runs, from which errors of others are estimated."""
         sized = section.model_copy(update={"n_modes": self.trained.n_modes})
         super().__init__(workspace, sized)
-        known = stored.starts if stored is not None else None
         if known is None:
             self._starts = RunStarts(workspace, self.start_from)
         else:
@@ -122,6 +140,19 @@ class SurfaceModel(Model[SurfaceModelAt]):
     def runner(self, point: ParameterPoint) -> Callable[[], object]:
         """Return a function that makes one run at a parameter point."""
         return self.at(point).run
+
+    def trained_differences(self, points: Sequence[ParameterPoint]) -> list[TrainedDifferences]:
+        """Return the errors of training runs that models of the others predict."""
+        if self.errors is None:
+            return []
+        known = self.errors.held_out
+        found = []
+        for k, fields in enumerate(known.fields):
+            measured = items({name: each.quantities for name, each in known.measure.items()}, k)
+            # Differences contain all errors, those due to the basis too.
+            missed = combined(items(measured, 0), items(measured, 0), -1.0)
+            found.append(TrainedDifferences(measured, fields, missed))
+        return found
 
     def nearest(self, point: ParameterPoint) -> SurfaceRun:
         """Return the states of the basis that are nearest to a full run's snapshots."""
@@ -179,9 +210,28 @@ class SurfaceRun(ModelRun):
     @cached_property
     def measured(self) -> dict[str, Quantities]:
         """All that the case measures, by name and quantity (n_snapshots, ...)."""
-        case = self.model.workspace.case
-        measured = {name: self._measure(name, each) for name, each in case.scene.recorded.items()}
-        return with_coefficients(measured, case.plan.coefficients)
+        return with_coefficients(self.recorded, self.model.workspace.case.plan.coefficients)
+
+    @cached_property
+    def recorded(self) -> dict[str, Quantities]:
+        """The same without coefficients, as full runs record it."""
+        recorded = self.model.workspace.case.scene.recorded
+        return {name: self._measure(name, each) for name, each in recorded.items()}
+
+    @property
+    def amplitude(self) -> Array:
+        """The amplitude of the waves (n_snapshots,) [m]."""
+        return self.reduced.graph.amplitude(self.coordinates)
+
+    @cached_property
+    def estimate(self) -> ErrorEstimate | None:
+        """The estimated errors of the run; None if there are no estimates."""
+        return estimate(self)
+
+    @cached_property
+    def measured_errors(self) -> Mapping[str, Quantities]:
+        """The estimated errors of all measurements (n_snapshots, ...); empty without estimates."""
+        return measured_errors(self)
 
     def _measure(self, name: str, section: RecordedMeasure) -> Quantities:
         graph = self.reduced.graph
@@ -301,6 +351,14 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
                 artifact.write(path, values)
         artifact.annotate("status", "complete" if run.failure is None else "unstable")
         artifact.annotate("timing/integration", seconds)
+        if (known := run.estimate) is not None:
+            stored = SurfaceErrorEstimate(
+                velocity=known.velocity,
+                pressure=known.pressure,
+                training="outside" if known.extrapolated else "inside",
+                measure=measured_over_time(run),
+            )
+            write_record(artifact, stored, "error_estimate")
         if run.unlike_training:
             artifact.annotate("doubts", "\n".join(run.unlike_training))
         for doubt in run.unlike_training:
@@ -311,6 +369,12 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
             return
     n_steps = round((run.time[-1] - run.time[0]) / run.time_step)
     report.info(f"{run.name}: {n_steps} steps of {run.time_step:.3g} s in {1e3 * seconds:.3g} ms")
+    if (found := run.estimate) is not None:
+        percents = found.velocity_percent, found.pressure_percent
+        velocity, pressure = (f"{format_figure(each)} %" for each in percents)
+        text = f"{run.name}: estimated errors: velocity {velocity}, pressure {pressure}"
+        report.info("; ".join((text, *run.outside)))
+        report_measured(run)
 
 
 def loads_of(quantities: Quantities) -> Array:

@@ -7,7 +7,9 @@ trained for some numbers of modes (`sphrom.reduction.graph_model`).
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,12 +28,14 @@ from sphrom.metrics.histories import energy
 from sphrom.models.surface.stored import elevation_of, read_surface_basis
 from sphrom.plots.tables import format_figure
 from sphrom.reduction import surface_basis
-from sphrom.reduction.surface_basis import TrainedGraph, chosen_size
+from sphrom.reduction.surface_basis import SurfaceBasis, TrainedGraph, chosen_size
+from sphrom.reduction.surface_errors import SurfaceErrors
 from sphrom.setup.assembly import medium, uniform_force
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
+    from sphrom.models.surface.model import SurfaceRun
     from sphrom.reduction.graph_training import TrainingRun
 
 SHOWN_MODES = (1, 2, 3, 5, 10, 20)
@@ -93,24 +97,8 @@ def make_basis(workspace: Workspace) -> None:
     case = workspace.case
     target = workspace.basis()
     with workspace.create(target, medium(case)) as artifact:
-        coefficients, elevations, speeds, lost = [], [], [], []
-        for point in case.plan.train_points:
-            with workspace.open(workspace.mapped(point)) as mapped:
-                coefficients.append(mapped.read("stream_function"))
-                elevations.append(mapped.read("elevation"))
-                speeds.append(mapped.read("speed"))
-                lost.append(mapped.read("residual") * speeds[-1])
         started = time.perf_counter()
-        if not np.any(speeds):
-            raise CaseError(
-                "parameters.train: all runs are at rest, so there are no modes; drive them"
-            )
-        runs = np.stack(coefficients)
-        noise = np.linalg.norm(lost) / np.linalg.norm(speeds)
-        most = min(MOST_KEPT, runs.shape[2], runs.shape[0] * runs.shape[1])
-        whole = surface_basis.make_basis(
-            case.plan.stream_space, runs, np.stack(elevations), float(noise), most
-        )
+        whole = _basis(workspace, case.plan.train_points)
         artifact.annotate("timing/decomposition", time.perf_counter() - started)
         if not whole.modes_above_noise:
             raise CaseError(
@@ -134,6 +122,24 @@ def make_basis(workspace: Workspace) -> None:
     )
 
 
+def _basis(workspace: Workspace, points: Sequence[ParameterPoint]) -> SurfaceBasis:
+    """Return the basis of mapped full runs. Raises CaseError if all are at rest."""
+    coefficients, elevations, speeds, lost = [], [], [], []
+    for point in points:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            coefficients.append(mapped.read("stream_function"))
+            elevations.append(mapped.read("elevation"))
+            speeds.append(mapped.read("speed"))
+            lost.append(mapped.read("residual") * speeds[-1])
+    if not np.any(speeds):
+        raise CaseError("parameters.train: all runs are at rest, so there are no modes; drive them")
+    runs = np.stack(coefficients)
+    noise = np.linalg.norm(lost) / np.linalg.norm(speeds)
+    most = min(MOST_KEPT, runs.shape[2], runs.shape[0] * runs.shape[1])
+    space = workspace.case.plan.stream_space
+    return surface_basis.make_basis(space, runs, np.stack(elevations), float(noise), most)
+
+
 def project(workspace: Workspace) -> None:
     """Train models of all numbers of modes that the case's models have, and write them."""
     from sphrom.reduction.graph_training import train  # it loads kernels
@@ -144,7 +150,10 @@ def project(workspace: Workspace) -> None:
     with workspace.create(workspace.operators()) as artifact:
         started = time.perf_counter()
         with workspace.context.report.progress("training", len(sizes)) as advance:
-            trained = train(basis, list(_training_runs(workspace)), sizes, advance)
+            runs = list(_training_runs(workspace, case.plan.train_points))
+            trained = train(basis, runs, sizes, advance)
+        if case.plan.has_error_estimate(ALL):
+            trained |= _with_errors(workspace, trained)
         artifact.annotate("timing/projection", time.perf_counter() - started)
         write_record(artifact, SurfaceModels(sizes={str(m): t for m, t in trained.items()}))
     _report(workspace, trained)
@@ -173,11 +182,52 @@ def trained_model(
     return TrainedSurfaceModel(basis=model.basis, graph=model.trained, starts=starts, **common)
 
 
-def _training_runs(workspace: Workspace) -> Iterator[TrainingRun]:
+def _with_errors(
+    workspace: Workspace, trained: Mapping[int, TrainedGraph]
+) -> dict[int, TrainedGraph]:
+    """Return models with the errors of training runs, of all sizes that the case's models have."""
+    from sphrom.models.surface import errors  # it loads kernels
+    from sphrom.models.surface.model import SurfaceModel
+    from sphrom.reduction.graph_training import train
+
+    case = workspace.case
+    points = case.plan.train_points
+    sizes = {chosen_size(trained) if m.n_modes == AUTO else m.size for m in case.rom}
+    section = next(model for model in case.rom if model.from_operators)
+    full = {point: errors.full_run(workspace, point) for point in points}
+    repeated: defaultdict[int, list[SurfaceRun]] = defaultdict(list)
+    held_out: defaultdict[int, list[SurfaceRun]] = defaultdict(list)
+
+    def run(basis: SurfaceBasis, graph: TrainedGraph, point: ParameterPoint) -> SurfaceRun:
+        reduced = basis.reduced(graph.n_modes, graph.n_surface)
+        return SurfaceModel(workspace, section, (reduced, graph)).run(point)
+
+    basis = read_surface_basis(workspace)
+    known = {size: trained[size].n_surface for size in sizes}
+    with workspace.context.report.progress("runs left out", len(points)) as advance:
+        for point in points:
+            others = [other for other in points if other != point]
+            without = _basis(workspace, others)
+            runs = list(_training_runs(workspace, others))
+            models = train(without, runs, sorted(sizes), n_surface=known)
+            for size, graph in models.items():
+                repeated[size].append(run(basis, trained[size], point))
+                held_out[size].append(run(without, graph, point))
+            advance(1)
+    found = {}
+    for size in sizes:
+        both = [errors.run_errors(each[size], full) for each in (repeated, held_out)]
+        if both[0] is not None and both[1] is not None:
+            errors_of_runs = SurfaceErrors(repeated=both[0], held_out=both[1])
+            found[size] = replace(trained[size], errors=errors_of_runs)
+    return found
+
+
+def _training_runs(workspace: Workspace, points: Sequence[ParameterPoint]) -> Iterator[TrainingRun]:
     from sphrom.reduction.graph_training import TrainingRun
 
     case = workspace.case
-    for point in case.plan.train_points:
+    for point in points:
         with workspace.open(workspace.mapped(point)) as mapped:
             yield TrainingRun(
                 times=mapped.read("time"),
