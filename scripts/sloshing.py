@@ -3,7 +3,7 @@
 Every part runs `cases/gallery/sloshing.yaml`, or variants of it, and prints a table of Markdown;
 `response` and `filling-map` draw the pictures of docs/free-surfaces.md, too.
 
-    python scripts/sloshing.py errors fillings noslip long response filling-map
+    python scripts/sloshing.py errors fillings noslip long record response filling-map
 """
 
 from __future__ import annotations
@@ -145,6 +145,42 @@ def long(folder: Path) -> None:
             )
 
 
+def record(folder: Path) -> None:
+    """Print the errors under an irregular history of a model that was trained by two sines."""
+    folder.mkdir(parents=True, exist_ok=True)
+    random = np.random.default_rng(1)
+    t = np.arange(0.0, 37.21, 0.2)
+    ratios = np.linspace(0.7, 1.3, 13)[:, None]
+    sines = np.sin(ratios * RATE * t + random.uniform(0.0, 2.0 * math.pi, ratios.shape))
+    waves = np.exp(-(((ratios - 0.95) / 0.2) ** 2)) * sines
+    values = waves.sum(axis=0) * np.minimum(1.0, 0.5 * t)
+    values *= 0.006 / math.sqrt(np.mean(values**2))  # m/s2
+    table_of = folder / "record.csv"
+    rows = np.stack((t, values), axis=1)
+    np.savetxt(table_of, rows, delimiter=",", header="time,acceleration", comments="")
+    recorded = {
+        "scene": {
+            "constants": {"gain": 0.0},
+            "histories": {"record": {"file": str(table_of.resolve()), "value": "acceleration"}},
+            "body_force": ["strength*sin(ratio*1.6974449*t) + gain*record(t)", 0],
+        },
+        "discretization": {"resolution": 14},
+        "snapshots": {"every": 14},
+        "parameters": {
+            name: {
+                "points": [
+                    {"reynolds": 250, "ratio": r, "strength": s, "gain": g} for r, s, g in at
+                ]
+            }
+            for name, at in {
+                "train": ((0.88, 0.01, 0.0), (1.12, 0.01, 0.0)),
+                "test": ((0.88, 0.0, 1.0),),
+            }.items()
+        },
+    }
+    table(study_of(folder, "record", recorded, sizes=(4,)), (4,), "gain=1")
+
+
 def linear_theory(ratio: np.ndarray, strength: float, viscosity: float) -> np.ndarray:
     """Return the amplitude of the steady oscillation at the wall [m], of potential flow."""
     n = np.arange(1, 40, 2)[:, None]
@@ -217,6 +253,7 @@ PARTS: dict[str, Callable[[Path], None]] = {
     "fillings": fillings,
     "noslip": noslip,
     "long": long,
+    "record": record,
     "response": response,
     "filling-map": filling_map,
 }
