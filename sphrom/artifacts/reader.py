@@ -371,7 +371,9 @@ def _stored(artifact: Artifact, path: str) -> Any:
 
 def _mapping(artifact: Artifact, record: type[Record], field: Field, path: str) -> dict[str, Any]:
     """Read the items of a mapping, except those that are other fields of the record."""
-    names = artifact.datasets if field.axes or field.record else artifact.attributes
+    names = [] if field.axes else [*artifact.attributes]
+    if field.axes or field.record:
+        names += artifact.datasets
     if field.names is not None:
         begin = path.removesuffix("*")
         existing = [name for name in field.names if begin + name in names]

@@ -156,7 +156,8 @@ class Correction(Record):
         found = []
         for length in np.unique(self.lengths[self.lengths > 0.0]).tolist():
             modes = np.flatnonzero(self.lengths == length)
-            rows = self.defects[..., modes].reshape(len(self.defects), -1)
+            defects = self.defects[..., modes]
+            rows = defects.reshape(len(defects), math.prod(defects.shape[1:]))
             found.append((modes, length, np.exp(-between / length), rows))
         return found
 
