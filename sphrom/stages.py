@@ -5,6 +5,7 @@ The command line and Python programs share it. Stages are imported when they run
 
 from __future__ import annotations
 
+import re
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 RUNS = Path("runs")
 """Default folder of artifacts."""
+ADDRESS = r"([a-z]+://)?[^\s/]+:[0-9]+"
+"""Pattern of a scheduler's address; Dask would wait long for any other."""
 PIPELINE = ("fom", "map", "pod", "fit-psi", "operators", "rom", "compare")
 """The stages of the command `run`, in order."""
 STAGES = {
@@ -84,9 +87,15 @@ def with_checkpoints(context: StageContext, *, resume: bool, every: float) -> St
 def with_workers(
     context: StageContext, workers: int | None = None, scheduler: str | None = None
 ) -> StageContext:
-    """Return a context with processes for independent runs. Raises CaseError for both kinds."""
+    """Return a context with processes for independent runs.
+
+    Raises CaseError for processes of both kinds, or if a scheduler has no address.
+    """
     if workers is not None and scheduler is not None:
         raise CaseError("--workers: can't be combined with --scheduler, which has its own workers")
+    if scheduler is not None and re.fullmatch(ADDRESS, scheduler) is None:
+        example = "such as tcp://node1:8786"
+        raise CaseError(f"--scheduler: must be an address {example}; got {quoted(scheduler)}")
     return replace(context, workers=workers, scheduler=scheduler)
 
 

@@ -119,7 +119,7 @@ class Options:
         int | None,
         option(
             "N",
-            "Number of parallel processes.  [default: one; for sweep, one per core]",
+            "Number of parallel processes.  [default: one; for sweep and train, one per core]",
             min=1,
         ),
     ] = None

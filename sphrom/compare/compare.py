@@ -12,7 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.study_sections import FULL
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.basis_figures import spectrum_rows
-from sphrom.compare.comparison_figures import draw_comparison, exact_samples
+from sphrom.compare.comparison_figures import draw_comparison, exact_samples, remove_figures
 from sphrom.compare.comparison_tables import (
     DecayRow,
     Tables,
@@ -64,6 +64,7 @@ def run(context: StageContext) -> None:
     if is_new:
         tables = Tables()
         probes = probes_of(case)
+        remove_figures(workspace)
         with workspace.create(target) as artifact:
             for point in case.plan.points:
                 writer = ComparisonWriter(artifact, point, probes)
@@ -81,7 +82,7 @@ def run(context: StageContext) -> None:
     tell_answer(workspace, tables)
     if case.compare.plots is not False:
         most = None if case.compare.plots else FEW
-        draw_comparison(workspace, tables, again=is_new, most=most)
+        draw_comparison(workspace, tables, most)
 
 
 def _exact_flows(case: Case) -> list[tuple[ParameterPoint, TaylorGreen]]:

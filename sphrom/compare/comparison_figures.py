@@ -7,8 +7,9 @@ for each basis singular values and modes (`basis_figures.py`). Figures that a ca
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cached_property, partial
+from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts.records.comparison import Series
 from sphrom.case.model_sections import ReducedModelSection
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Row, place_of
 from sphrom.case.study_sections import FULL
@@ -46,6 +48,8 @@ LABELS = {
     "pressure less its mean": "pressure less its mean [Pa]",
 }
 QUANTITIES = ("speed", "pressure")
+PLOTS = "plots"
+"""Folder of the figures, beside the artifacts."""
 FLAT = 0.4
 """Height over width below which pictures are placed below each other."""
 ERRORS = (
@@ -63,35 +67,46 @@ ERRORS = (
 """The errors to draw, with their labels: a row of velocities and one of pressures."""
 
 
-def draw_comparison(
-    workspace: Workspace, tables: Tables, *, again: bool = False, most: int | None = None
-) -> None:
-    """Draw the missing figures of a comparison into the folder `plots`, or all of them `again`.
+def remove_figures(workspace: Workspace, kept: Collection[Path] = ()) -> None:
+    """Remove the figures of earlier comparisons of the case, but for some."""
+    plan = workspace.case.plan
+    for place in (*(point.file_label for point in plan.points), *plan.bases):
+        for path in (workspace.out / PLOTS).glob(f"*-{place}.png"):
+            if path not in kept:
+                path.unlink()
 
-    With `most`, these are only so many figures at one point, a predicted one if there is one.
+
+def draw_comparison(workspace: Workspace, tables: Tables, most: int | None = None) -> None:
+    """Draw the missing figures of a comparison into the folder `plots`.
+
+    With `most`, these are only so many figures, the most telling ones at one point, which is a
+    predicted one if there is one.
     """
-    folder = workspace.folder("plots")
+    folder = workspace.folder(PLOTS)
     with StoredComparison.of(workspace) as stored:
         figures = {folder / f"{name}.png": draw for name, draw in _figures(stored, tables)}
-        plan = workspace.case.plan
-        for place in (*(point.file_label for point in plan.points), *plan.bases):
-            for old in folder.glob(f"*-{place}.png"):
-                if again or old not in figures:  # a figure of an earlier comparison
-                    old.unlink()
-        chosen = [*figures][:most]
+        remove_figures(workspace, figures.keys())
+        chosen = [*figures]
+        if most is not None:
+            first = _points(workspace.case)[0].file_label
+            chosen = [path for path in figures if path.stem.endswith(f"-{first}")][:most]
         with workspace.context.report.details.progress("pictures", len(chosen)) as advance:
             for path in chosen:
-                if again or not path.exists():
+                if not path.exists():
                     save(figures[path](), path)
                 advance(1)
+
+
+def _points(case: Case) -> list[ParameterPoint]:
+    """Return the points of full runs, predicted ones first."""
+    return [*dict.fromkeys((*case.plan.test_points, *case.plan.points))]
 
 
 def _figures(stored: StoredComparison, tables: Tables) -> Iterator[tuple[str, Drawn]]:
     """Yield the names of all figures, the most telling first, with functions that draw them."""
     workspace = stored.workspace
     case = workspace.case
-    plan = case.plan
-    for point in dict.fromkeys((*plan.test_points, *plan.points)):
+    for point in _points(case):
         for name, draw in _PointFigures(stored, tables, point).all():
             yield f"{name}-{point.file_label}", draw
     for basis in case.plan.bases if case.rom else ():

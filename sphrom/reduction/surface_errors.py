@@ -8,8 +8,9 @@ at the time t of a run is estimated as
 where T is the length of training runs, and A_0 the least root mean square of A in one of them, as
 the noise of particles does not vanish with the waves. r is the error over the amplitude, both root
 mean squares, in repeated training runs, and h that in training runs which models of the others
-predict. d is the distance of the parameters from the nearest training run, and D the mean distance
-of training runs from their nearest ones. Beyond the trained time phases drift.
+predict. Amplitudes of runs nearly at rest count as a tenth of the largest one. d is the distance of
+the parameters from the nearest training run, and D the mean distance of training runs from their
+nearest ones. Beyond the trained time phases drift.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from sphrom.arrays import Array
 from sphrom.declaration import Record, dataset, labelled, part
 from sphrom.metrics.quantities import IN_FLUID, OF_WALLS, stored
 from sphrom.reduction.correction import PLACES
+
+LEAST_AMPLITUDE = 0.1
+"""Least amplitude that is divided by, over the largest one of the training runs."""
 
 
 class RunMeasure(Record):
@@ -66,16 +70,25 @@ class SurfaceErrors(Record):
             squares = []
             for runs in (self.repeated, self.held_out):
                 errors = np.sum(of(runs) ** 2, axis=1)
-                sizes = np.sum(runs.amplitude**2, axis=1)
+                sizes = _floored(np.sum(runs.amplitude**2, axis=1))
                 squares.append(np.mean((errors.T / sizes).T, axis=0))
             near, far = squares
             return np.asarray(np.sqrt(near + share * np.maximum(far - near, 0.0)))
 
         return over_amplitude
 
+    def waves(self, amplitude: Array) -> Array:
+        """Return the amplitude (n_snapshots,) [m] of a run, or the least one that counts."""
+        trained = _floored(np.mean(self.repeated.amplitude**2, axis=1))
+        return np.asarray(np.maximum(amplitude, np.sqrt(trained.min())))
+
     def scale(self, amplitude: Array) -> Array:
         """Return the factor (n_snapshots,) [m] of errors over the amplitude along a run."""
-        trained = self.repeated.amplitude
-        least = np.sqrt(np.mean(trained**2, axis=1)).min()
-        late = np.arange(len(amplitude)) / (trained.shape[1] - 1)
-        return np.asarray(np.maximum(amplitude, least) * np.maximum(1.0, late))
+        n_trained = self.repeated.amplitude.shape[1]
+        elapsed = np.arange(len(amplitude)) / (n_trained - 1)
+        return self.waves(amplitude) * np.maximum(1.0, elapsed)
+
+
+def _floored(squares: Array) -> Array:
+    """Return mean squares of amplitudes (n_runs,) without those nearly at rest."""
+    return np.asarray(np.maximum(squares, LEAST_AMPLITUDE**2 * squares.max()))

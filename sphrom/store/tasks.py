@@ -211,7 +211,8 @@ def do_elsewhere(do: Do, task: Task, files: Files) -> Answer:
         path = folder / name
         make_folder(path.parent)
         write_whole(path, content)
-    before = _artifacts(folder)
+    sent = {folder / name for name in files}
+    before = {path: written for path, written in _artifacts(folder).items() if path in sent}
     told = attempt(do, replace(task, out=str(folder), case_folder=str(folder / CASE)))
     made = {
         str(path.relative_to(folder)): path.read_bytes()

@@ -100,8 +100,7 @@ class Workspace(ArtifactFolder):
         # Requested figures change no artifact, and figures of measurements change no run.
         measure = {name: one.of_runs for name, one in self.case.scene.recorded.items()}
         scene = self.case.scene.model_copy(update={"measure": measure})
-        plots = None if self.case.compare.plots else self.case.compare.plots
-        compare = self.case.compare.model_copy(update={"figures": (), "plots": plots})
+        compare = self.case.compare.model_copy(update={"figures": (), "plots": None})
         self._without_figures = self.case.model_copy(update={"compare": compare, "scene": scene})
         self._inputs: dict[str, dict[str, object]] = {}
         self._files = MODEL_FILES[self.case.plan.family()]

@@ -85,7 +85,7 @@ class Surrogate:
     def extend(self, chosen: Mapping[ParameterPoint, Array]) -> tuple[HeldOut, ...]:
         """Make full runs at points, compare them with the model, and add the stable ones to it.
 
-        `chosen` are the estimates (2,) by point.
+        `chosen` are the estimates (3,) by point.
         """
         problems = self._full_runs(tuple(chosen))
         held_out = []
@@ -118,6 +118,11 @@ class Surrogate:
         if not kept:
             variant.made(OPERATORS)
         return kept
+
+
+def _largest(errors: Sequence[float], default: float) -> float:
+    """Return the largest error; infinite if one is unknown, as of a run of too few periods."""
+    return float(np.nan_to_num([*errors] or [default], nan=np.inf, posinf=np.inf).max())
 
 
 def make_full_runs(variant: Variant, points: Sequence[ParameterPoint]) -> dict[ParameterPoint, str]:
@@ -164,7 +169,7 @@ class StageModel:
             if name in errors and figure in errors[name]
         ]
         missing = 0.0 if run.regime == STEADY else np.inf
-        return np.append(of_fields, 100.0 * max(shares, default=missing))
+        return np.append(of_fields, 100.0 * _largest(shares, missing))
 
     def floor(self) -> Array:
         """Return the largest errors (3,) of the best approximations of the training runs."""
@@ -202,7 +207,7 @@ class StageModel:
             for each in self.workspace.case.plan.oscillations.values()
             for figure in FIGURES
         ]
-        return max(errors, default=np.inf)
+        return _largest(errors, np.inf)
 
     def _run(self, point: ParameterPoint) -> ModelRun | None:
         """Return the run at a point; None if it diverges or needs too many steps."""

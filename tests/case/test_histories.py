@@ -151,7 +151,10 @@ def test_models_are_not_fitted_to_knots(load) -> None:
         ({"times": [0, 1, 1], "values": [0, 1, 2]}, "sway.times: must rise; got 0, 1, 1"),
         ({"times": [0], "values": [0]}, "sway.times: "),
         ({"times": [0, 2], "values": [0, 1, 2]}, "as many as times; got 3 values and 2 times"),
-        ({"times": [0, 1.5], "values": [0, 1]}, "sway: it has times from 0 to 1.5 s, but 2 s is"),
+        (
+            {"times": [0, 1.5], "values": [0, 1]},
+            "sway: the history has times from 0 to 1.5 s, but 2 s is",
+        ),
         ({"times": [0, 2], "values": [0, "f"]}, "sway.values: f is not a known name"),
         ({"times": [0, 2], "values": [0, "t"]}, "sway.values: t is not a known name"),
         ({"times": [0, 2], "values": [0, math.nan]}, "sway.values.1: must be a number"),

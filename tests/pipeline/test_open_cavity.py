@@ -141,7 +141,7 @@ def test_options_run_through(written, sphrom, peaks, changes):
 
 
 def test_plots_of_a_scene_with_walls(out, sphrom):
-    sphrom("compare", "open.yaml", "--force", "--set", "compare.plots=true", code=0)
+    sphrom("compare", "open.yaml", "--set", "compare.plots=true", code=0)
     plots = {path.name: path.stat().st_mtime_ns for path in (out / "plots").iterdir()}
     assert {"profiles-reynolds2400.png", "history-reynolds2400.png", "modes-all.png"} <= set(plots)
     # A picture that is missing is drawn again, and no other; one of an earlier comparison goes.
@@ -151,3 +151,6 @@ def test_plots_of_a_scene_with_walls(out, sphrom):
     again = {path.name: path.stat().st_mtime_ns for path in (out / "plots").iterdir()}
     assert {name for name in plots if again[name] != plots[name]} == {"modes-all.png"}
     assert set(again) == set(plots)
+    # A new comparison leaves none of an earlier one.
+    sphrom("compare", "open.yaml", "--force", "--set", "compare.plots=false", code=0)
+    assert list((out / "plots").iterdir()) == []

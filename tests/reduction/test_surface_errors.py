@@ -62,3 +62,18 @@ def test_errors_are_never_below_the_noise_and_drift_beyond_the_trained_time() ->
     np.testing.assert_allclose(scale[:N_SNAPSHOTS], least)
     assert scale[-1] == pytest.approx(2.0 * least)
     np.testing.assert_allclose(ERRORS.scale(np.full(3, 7.0)), 7.0)
+
+
+def test_a_run_at_rest_does_not_make_estimates_absurd() -> None:
+    def with_rest(share: float) -> RunErrors:
+        known = runs(share)
+        amplitude = known.amplitude.copy()
+        amplitude[0] = 1e-16
+        fields = known.fields.copy()
+        fields[0] = 1e-3
+        return RunErrors(places=PLACES, amplitude=amplitude, fields=fields, sizes=fields)
+
+    errors = SurfaceErrors(repeated=with_rest(REPEATED), held_out=with_rest(HELD_OUT))
+    shares = errors.at(np.array([0.5]))(lambda known: known.fields)
+    assert shares[0] < HELD_OUT
+    np.testing.assert_array_less(0.05, errors.waves(np.zeros(4)))

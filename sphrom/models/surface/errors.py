@@ -115,7 +115,7 @@ def estimate(run: SurfaceRun) -> ErrorEstimate | None:
     scale = errors.scale(run.amplitude)[:, None]
     found = scale * over_amplitude(lambda runs: runs.fields)
     repeated = SurfaceErrors(repeated=errors.repeated, held_out=errors.repeated)
-    sizes = run.amplitude[:, None] * repeated.at(_place(run))(lambda runs: runs.sizes)
+    sizes = errors.waves(run.amplitude)[:, None] * repeated.at(_place(run))(lambda runs: runs.sizes)
     percents = 100.0 * np.sqrt(np.mean(found**2, axis=0) / np.mean(sizes**2, axis=0))
     case = run.model.workspace.case
     units = np.array([1.0, case.fluid.reference_density * case.plan.sound_speed])

@@ -185,15 +185,18 @@ def trained_model(
 def _with_errors(
     workspace: Workspace, trained: Mapping[int, TrainedGraph]
 ) -> dict[int, TrainedGraph]:
-    """Return models with the errors of training runs, of all sizes that the case's models have."""
+    """Return models with the errors of training runs, of all sizes that calibrated models have."""
     from sphrom.models.surface import errors  # it loads kernels
     from sphrom.models.surface.model import SurfaceModel
     from sphrom.reduction.graph_training import train
 
     case = workspace.case
     points = case.plan.train_points
-    sizes = {chosen_size(trained) if m.n_modes == AUTO else m.size for m in case.rom}
-    section = next(model for model in case.rom if model.from_operators)
+    sections = [model for model in case.rom if model.is_calibrated]
+    if not sections:
+        return {}
+    section = sections[0]
+    sizes = {chosen_size(trained) if m.n_modes == AUTO else m.size for m in sections}
     full = {point: errors.full_run(workspace, point) for point in points}
     repeated: defaultdict[int, list[SurfaceRun]] = defaultdict(list)
     held_out: defaultdict[int, list[SurfaceRun]] = defaultdict(list)
@@ -207,18 +210,25 @@ def _with_errors(
     with workspace.context.report.progress("runs left out", len(points)) as advance:
         for point in points:
             others = [other for other in points if other != point]
-            without = _basis(workspace, others)
+            advance(1)
+            try:
+                without = _basis(workspace, others)
+            except CaseError:  # the others are at rest
+                continue
+            if not without.modes_above_noise:
+                continue
             runs = list(_training_runs(workspace, others))
             models = train(without, runs, sorted(sizes), n_surface=known)
             for size, graph in models.items():
                 repeated[size].append(run(basis, trained[size], point))
                 held_out[size].append(run(without, graph, point))
-            advance(1)
     found = {}
     for size in sizes:
         both = [errors.run_errors(each[size], full) for each in (repeated, held_out)]
-        if both[0] is not None and both[1] is not None:
-            errors_of_runs = SurfaceErrors(repeated=both[0], held_out=both[1])
+        near, far = both
+        # The distance between runs needs two of them.
+        if near is not None and far is not None and len(near.places) > 1:
+            errors_of_runs = SurfaceErrors(repeated=near, held_out=far)
             found[size] = replace(trained[size], errors=errors_of_runs)
     return found
 
