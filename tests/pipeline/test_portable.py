@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import re
+import subprocess
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -20,6 +22,7 @@ from sphrom.errors import CaseError
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.portable import fmu, page
 from sphrom.portable.document import content, document
+from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.reference_model import Integrator
 
 ROOT = Path(__file__).parents[2]
@@ -291,6 +294,29 @@ def test_the_driving_is_an_input_whose_errors_are_unknown(trained, unit) -> None
     errors = [name for name in given.dtype.names if name.startswith("error_")]
     assert all((given[name] == -1.0).all() for name in errors)
     assert all((own[name] >= 0.0).all() for name in errors)
+
+
+def test_units_weigh_training_runs_as_rom_does(trained, tmp_path) -> None:
+    if fmu.binary() is None:
+        pytest.skip("there is no C compiler")
+    found = document(trained("lid"))
+    places = found["errors"]["places"]  # the corners of a rectangle
+    (tmp_path / "model.h").write_bytes(fmu._header(found))
+    function = "API double weights(const double *place, double *w) { return interpolation(place, w); }"
+    (tmp_path / "weights.c").write_text(f'#include "{fmu.SOURCE}"\n{function}\n')
+    library = tmp_path / "weights.so"
+    command = [fmu.COMPILER, *fmu.FLAGS, "-I", tmp_path, tmp_path / "weights.c", "-o", library]
+    subprocess.run([*command, "-lm"], check=True)
+    weights = ctypes.CDLL(str(library)).weights
+    weights.restype = ctypes.c_double
+    low, high = places.min(axis=0), places.max(axis=0)
+    for share in ([0.5, 0.5], [0.5, 0.2], [0.3, 0.6], [0.0, 0.5], [1.4, 0.5], [-0.2, 1.3]):
+        place = low + share * (high - low)
+        expected, distance = interpolation_weights(places, place)
+        w = np.zeros(len(places))
+        pointers = [x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in (place, w)]
+        assert weights(*pointers) == pytest.approx(distance, rel=1e-5, abs=1e-9)
+        np.testing.assert_allclose(w, expected, atol=1e-3)
 
 
 def test_units_without_a_compiler_have_sources_alone(trained, monkeypatch, tmp_path) -> None:
