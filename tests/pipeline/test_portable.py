@@ -480,5 +480,3 @@ def test_the_documentation_shows_the_present_page() -> None:
 def test_pages_are_small(trained) -> None:
     model = trained("lid")
     assert len(page.content(model, 24)) < len(page.content(model)) < 1_500_000
-    with pytest.raises(CaseError, match="--columns: must be 8 or more; got 7"):
-        page.content(model, 7)
