@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import json
 import re
 import subprocess
@@ -21,7 +22,7 @@ from sphrom.case.loader import parameter_point
 from sphrom.errors import CaseError
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.portable import fmu, page
-from sphrom.portable.document import content, document
+from sphrom.portable.document import content, document, fields
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.reference_model import Integrator
 
@@ -176,22 +177,34 @@ def test_documents_follow_their_schema(name, written) -> None:
     assert len(set(names)) == len(names) == found["errors"]["noise"]["shape"][1]
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_documents_of_pages_follow_the_schema_too(name, trained) -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
+    schema = json.loads((ROOT / "sphrom" / "portable" / "model.schema.json").read_text())
+    text = page.content(trained(name), 24).decode()
+    part = re.search(r'<script id="model" type="application/json">(.*?)</script>', text, re.DOTALL)
+    found = json.loads(part[1])
+    jsonschema.Draft202012Validator(schema).validate(found)
+    digest = found.pop("digest")
+    assert hashlib.sha256(json.dumps(found).encode()).hexdigest() == digest
+
+
 def test_fields_are_those_of_runs(trained) -> None:
     model = trained("channel")
-    fields = document(model, 30)["fields"]
+    grid = fields(model, 30)
     run = model.run(parameter_point(model.workspace.case, POINTS["channel"][0]))
     states = np.column_stack((np.ones(len(run.time)), run.states))
-    found = np.tensordot(states, fields["modes"], (1, 1))
+    found = np.tensordot(states, grid["modes"], (1, 1))
     x, y = 1.75, 0.35  # the centre of a cell
-    column, row = int(x / 3 * fields["nx"]), int(y / 2 * fields["ny"])
-    centre = np.array([[3 * (column + 0.5) / fields["nx"], 2 * (row + 0.5) / fields["ny"]]])
+    column, row = int(x / 3 * grid["nx"]), int(y / 2 * grid["ny"])
+    centre = np.array([[3 * (column + 0.5) / grid["nx"], 2 * (row + 0.5) / grid["ny"]]])
     samples = run.sampled(centre)
     velocity = found[:, :2, row, column]
     assert np.abs(velocity - samples.velocity[:, 0]).max() < 1e-6 * np.abs(velocity).max()
     pressure = found[:, 2, row, column]
     pressure += run.reduced.mean_density_fluctuation * model.workspace.case.plan.sound_speed**2
     assert np.abs(pressure - samples.pressure[:, 0]).max() < 1e-5 * np.abs(pressure).max()
-    assert not fields["inside"][int(0.5 * fields["ny"]), int(fields["nx"] / 3)]
+    assert not grid["inside"][int(0.5 * grid["ny"]), int(grid["nx"] / 3)]
 
 
 def changed(case: Mapping[str, Any], **keys: Any) -> dict[str, Any]:
@@ -362,7 +375,7 @@ def test_a_page_answers_as_rom_does(name, trained, shown) -> None:
                 }};
             }})()"""
         )
-        numbers = document(model, 24)
+        numbers = document(model)
         known = in_its_steps(model, values, numbers["runs"]["steps"][found["nearest"]])
         size = np.abs(known.coordinates).max()
         coordinates = np.reshape(found["coordinates"], known.coordinates.shape)
@@ -377,12 +390,12 @@ def test_a_page_answers_as_rom_does(name, trained, shown) -> None:
             assert np.abs(np.array(found["outputs"][index]) - expected).max() < tolerance
             expected = column(known.measured_errors, output)
             np.testing.assert_allclose(found["errors"][index], expected, rtol=1e-5)
-        fields = numbers["fields"]
-        inside = fields["inside"].astype(bool).ravel()
+        grid = fields(model, 24)
+        inside = grid["inside"].astype(bool).ravel()
         axes = (
             low + (high - low) * (np.arange(n) + 0.5) / n
             for low, high, n in zip(
-                fields["lower"], fields["upper"], (fields["nx"], fields["ny"]), strict=True
+                grid["lower"], grid["upper"], (grid["nx"], grid["ny"]), strict=True
             )
         )
         points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)[inside]
