@@ -21,8 +21,10 @@ import sphrom as package
 from sphrom.case.loader import parameter_point
 from sphrom.errors import CaseError
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.points.portable import Products
 from sphrom.portable import fmu, page
 from sphrom.portable.document import content, document, fields
+from sphrom.reduction.affine import VISCOSITY
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.reference_model import Integrator
 
@@ -227,6 +229,35 @@ def test_what_the_document_lacks_is_refused_by_name(keys, reason, tmp_path) -> N
         document(study.model("fast", reynolds=100)._fast)
 
 
+def test_initial_states_that_depend_on_a_parameter_are_refused(tmp_path) -> None:
+    scene = {
+        "kind": "custom",
+        "box": {"lower": [0, 0], "upper": [1, 1], "periodic": ["x", "y"]},
+        "constants": {"k": 2 * np.pi, "speed": 1.0},
+        "initial": {"u": "speed*sin(k*y)", "v": "0.2*sin(k*x)"},
+        "reference_length": 1.0,
+    }
+    train = {"reynolds": [50, 100], "speed": [0.5, 1.0]}
+    case = {**VORTEX, "scene": scene, "parameters": {"train": train}}
+    study = package.Study(changed(case), out=tmp_path, quiet=True, threads=1)
+    study.run(until="operators")
+    with pytest.raises(CaseError, match="its initial state depends on a parameter"):
+        document(study.model("fast", reynolds=100)._fast)
+
+
+@pytest.mark.parametrize("ends", [(-1.0, 0.0), (-1.0, -0.5), (0.2, 0.2), (0.0, 0.0), (0.0, 0.4)])
+def test_arrays_are_split_into_products_whatever_the_sign_of_a_parameter(ends) -> None:
+    products = Products({VISCOSITY: (0.015, 0.017), "f": ends})
+    for within_ranges in (False, True):
+        split = products.of(
+            "array",
+            lambda viscosity, factors: np.array([1.0, 2.0 * factors["f"] - 40.0 * viscosity]),
+            within_ranges,
+        )
+        expected = [[1.0, 0.0], [0.0, -40.0], [0.0, 2.0], [0.0, 0.0]]
+        np.testing.assert_allclose(split, expected, atol=1e-9)
+
+
 # Units for system simulation
 
 
@@ -330,6 +361,38 @@ def test_units_weigh_training_runs_as_rom_does(trained, tmp_path) -> None:
         pointers = [x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in (place, w)]
         assert weights(*pointers) == pytest.approx(distance, rel=1e-5, abs=1e-9)
         np.testing.assert_allclose(w, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("parameters", "driving"),
+        ("parameters", "own_driving"),
+        ("parameters", "outside"),
+        ("outputs", "error_drag_force_x"),
+    ],
+)
+def test_units_whose_variables_would_share_a_name_are_refused(kind, name, trained) -> None:
+    found = document(trained("channel"))
+    last = {**found[kind][-1], "name": name}
+    with pytest.raises(CaseError, match=f"two variables of the unit would be called {name};"):
+        fmu._description({**found, kind: [*found[kind][:-1], last]}, "unit")
+
+
+@pytest.mark.parametrize("flags", [("-no-such-flag",), ()])
+def test_units_that_do_not_compile_have_sources_alone(
+    flags, trained, monkeypatch, capsys, tmp_path
+) -> None:
+    if fmu.binary() is None:
+        pytest.skip("there is no C compiler")
+    monkeypatch.setattr(fmu, "FLAGS", flags or fmu.FLAGS)
+    monkeypatch.setattr(fmu, "SECONDS", 300 if flags else 1e-3)
+    (tmp_path / "model.fmu").write_bytes(fmu.content(trained("vortex")))
+    with zipfile.ZipFile(tmp_path / "model.fmu") as archive:
+        assert not [name for name in archive.namelist() if name.startswith("binaries")]
+    said = capsys.readouterr().err
+    assert "has sources alone, without a binary, because the C compiler failed" in said
+    assert ("no-such-flag" if flags else "timed out") in said
 
 
 def test_units_without_a_compiler_have_sources_alone(trained, monkeypatch, tmp_path) -> None:
