@@ -259,11 +259,11 @@ static void compute(Model *m) {
     for (int i = 0; i < N_MODES; i++) change += (values[i] - expected[i]) * (values[i] - expected[i]);
     for (int f = 0; f < 2; f++) {
         known[f] = UNITS[f] * hypot(m->constants[f] * m->state[N], sqrt(change) * SHARES[f]);
-        errors[N_OUTPUTS + f] = known[f];
+        if (known[f] < INFINITY) errors[N_OUTPUTS + f] = known[f];  /* not where a run has diverged */
     }
     for (int o = 0; o < N_OUTPUTS; o++) {
         double square = m->noise[o] + OUTPUT_SHARES[o] * known[(int)FIELDS[o]] * known[(int)FIELDS[o]];
-        if (square >= 0) errors[o] = sqrt(square);
+        if (square >= 0 && square < INFINITY) errors[o] = sqrt(square);
     }
 }
 

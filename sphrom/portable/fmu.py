@@ -259,7 +259,8 @@ def _description(found: Mapping[str, Any], name: str) -> str:
     unknown = "estimated root mean square error; -1 where it is unknown"
     outputs += [(f"error_{label}", unit, unknown) for label, unit, _ in outputs]
     outputs += [("error_velocity", "m/s", unknown), ("error_pressure", "Pa", unknown)]
-    outputs += [("outside", "1", "1 outside of the training, where errors are extrapolated")]
+    about = "1 outside of the training, where errors are extrapolated, and where they are unknown"
+    outputs += [("outside", "1", about)]
     for k, (label, unit, about) in enumerate(outputs):
         groups["outputs"].append(len(variables) + 1)
         add(2, k, label, f'causality="output" {calculated}', about, unit=unit)

@@ -165,6 +165,10 @@ def test_the_programs_of_the_documentation_run_as_rom_does(name, trained, writte
         assert np.abs(run.coordinates - usual.coordinates).max() < 0.01 * size
 
 
+def test_the_second_program_knows_models_without_estimates(reader) -> None:
+    assert reader.errors(SimpleNamespace(d={"errors": None})) is None
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_documents_follow_their_schema(name, written) -> None:
     jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
@@ -340,19 +344,25 @@ def test_the_driving_is_an_input_whose_errors_are_unknown(trained, unit) -> None
     assert all((own[name] >= 0.0).all() for name in errors)
 
 
-def test_units_weigh_training_runs_as_rom_does(trained, tmp_path) -> None:
+def compiled(model: FastModel, functions: str, folder: Path) -> ctypes.CDLL:
+    """Return the library of a unit with more functions."""
     if fmu.binary() is None:
         pytest.skip("there is no C compiler")
-    found = document(trained("lid"))
-    places = found["errors"]["places"]  # the corners of a rectangle
-    (tmp_path / "model.h").write_bytes(fmu._header(found))
-    function = "API double weights(const double *place, double *w) { return interpolation(place, w); }"
-    (tmp_path / "weights.c").write_text(f'#include "{fmu.SOURCE}"\n{function}\n')
-    library = tmp_path / "weights.so"
-    command = [fmu.COMPILER, *fmu.FLAGS, "-I", tmp_path, tmp_path / "weights.c", "-o", library]
-    subprocess.run([*command, "-lm"], check=True)
-    weights = ctypes.CDLL(str(library)).weights
+    (folder / "model.h").write_bytes(fmu._header(document(model)))
+    (folder / "more.c").write_text(f'#include "{fmu.SOURCE}"\n{functions}\n')
+    library = folder / "more.so"
+    command = [fmu.COMPILER, *fmu.FLAGS, "-I", folder, folder / "more.c", "-o", library, "-lm"]
+    subprocess.run(command, check=True)
+    return ctypes.CDLL(str(library))
+
+
+def test_units_weigh_training_runs_as_rom_does(trained, tmp_path) -> None:
+    function = (
+        "API double weights(const double *place, double *w) { return interpolation(place, w); }"
+    )
+    weights = compiled(trained("lid"), function, tmp_path).weights
     weights.restype = ctypes.c_double
+    places = document(trained("lid"))["errors"]["places"]  # the corners of a rectangle
     low, high = places.min(axis=0), places.max(axis=0)
     for share in ([0.5, 0.5], [0.5, 0.2], [0.3, 0.6], [0.0, 0.5], [1.4, 0.5], [-0.2, 1.3]):
         place = low + share * (high - low)
@@ -361,6 +371,27 @@ def test_units_weigh_training_runs_as_rom_does(trained, tmp_path) -> None:
         pointers = [x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in (place, w)]
         assert weights(*pointers) == pytest.approx(distance, rel=1e-5, abs=1e-9)
         np.testing.assert_allclose(w, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("state", ["NAN", "INFINITY"])
+def test_errors_of_diverged_units_are_unknown(state, trained, tmp_path) -> None:
+    function = f"""API double largest_error(double state) {{
+        static Model m;
+        double largest = -INFINITY;
+        fmi2Reset(&m);
+        prepare(&m, 1);
+        m.state[0] = state, m.state[N] = state;
+        compute(&m);
+        for (int o = 0; o < N_UNKNOWN; o++)
+            if (!(m.outputs[N_OUTPUTS + o] <= largest)) largest = m.outputs[N_OUTPUTS + o];
+        return largest;
+    }}
+    API double of_diverged(void) {{ return largest_error({state}); }}
+    API double of_zero(void) {{ return largest_error(0); }}"""
+    unit = compiled(trained("lid"), function, tmp_path)
+    unit.of_diverged.restype = unit.of_zero.restype = ctypes.c_double
+    assert unit.of_diverged() == -1.0
+    assert unit.of_zero() > 0.0
 
 
 @pytest.mark.parametrize(
