@@ -352,7 +352,7 @@ def compiled(model: FastModel, functions: str, folder: Path) -> ctypes.CDLL:
     (folder / "more.c").write_text(f'#include "{fmu.SOURCE}"\n{functions}\n')
     library = folder / "more.so"
     command = [fmu.COMPILER, *fmu.FLAGS, "-I", folder, folder / "more.c", "-o", library, "-lm"]
-    subprocess.run(command, check=True)
+    subprocess.run(command, check=True, timeout=120)
     return ctypes.CDLL(str(library))
 
 
