@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from sphrom.api.result import ERROR
 from sphrom.arguments import finite_array
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Mask
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import STATISTICS, Measured, combined, items
@@ -22,8 +22,6 @@ from sphrom.models.contract import Model as AnyModel
 from sphrom.signals import guarded
 from sphrom.text import nearest, quoted
 
-STEP = 1e-5
-"""Step along derivatives, over the size of a parameter, from which those of figures follow."""
 DIFFERENCE = 1e-3
 """Step over a trained range, for derivatives of models without sensitivities."""
 
@@ -43,21 +41,31 @@ class Output:
     """One of STATISTICS; empty for the value at one time."""
     units: str
 
+    @property
+    def is_statistic(self) -> bool:
+        """Whether it follows from all times that count, not from a single one."""
+        return self.ending not in ("", "last")
+
+    def counted(self, case: Case, time: Array) -> Mask:
+        """Return whether times (n_snapshots,) [s] count."""
+        return case.plan.counted(self.measure.removeprefix(ERROR), time)
+
     def of(self, case: Case, time: Array, measured: Measured, instant: float | None) -> float:
         """Return the number from measurements (n_snapshots, ...) at times [s].
 
         A value without an ending is that at an instant [s], by default the last time.
         """
         values = measured.get(self.measure, {}).get(self.quantity)
-        if values is None:  # a run without estimated errors
+        if values is None and self.measure.startswith(ERROR):
+            raise CaseError(f"{self.measure}: the model does not estimate this error")
+        if values is None:  # a history without an oscillation
             return np.nan
         history = values.reshape(len(time), -1)[:, self.component]
         if not self.ending and instant is not None:
             return float(at_instants(time, history, np.array([instant]))[0])
-        if self.ending in ("", "last"):
+        if not self.is_statistic:
             return float(history[-1])
-        counted = case.plan.counted(self.measure.removeprefix(ERROR), time)
-        return float(STATISTICS[self.ending](history[counted], axis=0))
+        return float(STATISTICS[self.ending](history[self.counted(case, time)], axis=0))
 
 
 def outputs_of(case: Case) -> dict[str, Output]:
@@ -117,6 +125,10 @@ class Function:
         self._outputs = [known[name] for name in outputs]
         self.units = tuple(output.units for output in self._outputs)
         steps = case.plan.model_steps(model.section)
+        time = np.linspace(steps.start_time, steps.end_time, steps.n_snapshots)
+        for name, output in zip(outputs, self._outputs, strict=True):
+            if output.is_statistic and not output.counted(case, time).any():
+                raise CaseError(f"{quoted(name)}: no time of the runs counts for it")
         self._instant = instant
         if instant is not None and not steps.start_time <= instant <= steps.end_time:
             span = f"{steps.start_time:g} to {steps.end_time:g} s"
@@ -179,16 +191,23 @@ class Function:
         case = self._model.workspace.case
         return np.array([o.of(case, time, measured, self._instant) for o in self._outputs])
 
+    def _run_figures(self, run: ModelRun) -> Array:
+        """Return the figures (n_outputs,) of a run; raise UnstableError if it is unstable."""
+        if run.failure is not None:
+            raise run.failure
+        return self._figures(run.time, self._measured(run))
+
     def _slopes(self, row: Array) -> Array:
         """Return the derivatives (n_outputs, n_inputs) by the model's equations."""
         (run,) = self._runs(self._named(row[None]))
         if run.failure is not None:
             raise run.failure
         slopes = self._model.tangents(run.point, self.inputs, run.reduced)
-        oscillations = self._model.workspace.case.plan.oscillations
+        plan = self._model.workspace.case.plan
+        oscillations = plan.oscillations
         columns = []
-        for k, value in enumerate(row.tolist()):
-            step = STEP * (abs(value) or 1.0)
+        for k, name in enumerate(self.inputs):
+            step = plan.small_step(run.point, name)
             along = partial(combined, run.measured, items(slopes.measured, k))
             low, high = (
                 self._figures(run.time, {**side, **oscillations.of(run.time, side, run.regime)})
@@ -206,5 +225,6 @@ class Function:
             ends[:, k] = row[k] - step, row[k] + step
             if low <= row[k] <= high and low < high:
                 ends[:, k] = np.clip(ends[:, k], low, high)
-            columns.append(np.diff(self(ends), axis=0)[0] / np.ptp(ends[:, k]))
+            below, above = map(self._run_figures, self._runs(self._named(ends)))
+            columns.append((above - below) / np.ptp(ends[:, k]))
         return np.stack(columns, axis=1)

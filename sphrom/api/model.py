@@ -213,7 +213,7 @@ class Model:
         self._require(Ability.RUNS_ALONE, "function")
         for kind, names in (("inputs", inputs), ("outputs", outputs)):
             if not names or len({*names}) < len(names):
-                raise CaseError(f"{kind}: must be one name or more, each once")
+                raise CaseError(f"{kind}: needs at least one name, none twice")
         self._require_names(inputs)
         ranges = {name: self.ranges[name] for name in inputs}
         return Function(

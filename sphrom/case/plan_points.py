@@ -16,6 +16,11 @@ from sphrom.errors import CaseError
 if TYPE_CHECKING:
     from sphrom.case.models import Case
 
+STEP = 1e-5
+"""Step of differences by a parameter, over its size."""
+NEAR_ZERO = 0.01
+"""Values below this share of the largest trained one don't tell the size of a parameter."""
+
 
 class PointsPlan:
     """The parameter points of one case."""
@@ -104,6 +109,11 @@ class PointsPlan:
     def largest_values(self) -> Array:
         """The largest absolute trained value of each parameter (n_parameters,)."""
         return np.abs([[*p.as_dict().values()] for p in self.train_points]).max(axis=0)
+
+    def small_step(self, point: ParameterPoint, name: str) -> float:
+        """Return the step of a parameter for differences at a point."""
+        largest = float(self.largest_values[self.parameter_names.index(name)])
+        return STEP * (max(abs(point.as_dict()[name]), NEAR_ZERO * largest) or 1.0)
 
     def start_point(self, point: ParameterPoint) -> ParameterPoint:
         """Return the point whose initial state a run has.

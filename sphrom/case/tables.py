@@ -182,7 +182,7 @@ class KnotsSection(HistorySection):
     def at(self, constants: Mapping[str, float]) -> History:
         values = tuple(Expression(str(value), (), constants) for value in self.values)
         rows = np.array([self.times, [value.fixed for value in values]])
-        return History("it", beyond_ends(rows), 1.0, self.interpolation == "cubic", values)
+        return History("the history", beyond_ends(rows), 1.0, self.interpolation == "cubic", values)
 
 
 Histories = Annotated[HistorySection, OneOf(file=MeasuredSection, times=KnotsSection)]

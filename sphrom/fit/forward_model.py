@@ -28,7 +28,6 @@ from sphrom.metrics.series import at_instants
 from sphrom.models.contract import Ability, Model
 from sphrom.models.points.fast_model import FastModel
 from sphrom.models.points.quantities import quantities_of
-from sphrom.models.points.sensitivities import STEP
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential_steps import ExponentialModel
@@ -236,7 +235,7 @@ class FittedEquations(FittedModel):
         histories = self.stacked(measured | oscillations.of(run.time, measured, regime))
         for k, name in enumerate(run.parameters):
             changes = items(run.measured, k)
-            step = STEP * (abs(point.as_dict()[name]) or 1.0)
+            step = self._case.plan.small_step(point, name)
             sides = (combined(measured, changes, part * step) for part in (-0.5, 0.5))
             low, high = (oscillations.of(run.time, side) for side in sides)
             rates = combined(high, low, -1.0)

@@ -154,3 +154,14 @@ def test_sensitivities_by_each_knot_are_differences_of_runs(scheduled: sphrom.Mo
             found = slopes.measures[quantity].sel(parameter=name)
             largest = float(np.abs(change).max())
             np.testing.assert_allclose(found, change, atol=1e-5 * largest)
+
+
+def test_a_knot_near_zero_has_the_sensitivity_of_one_at_zero(scheduled: sphrom.Model) -> None:
+    for quantity in ("flux_flow_rate", "floor_force"):
+        zero, near = (
+            scheduled.at(a=0.7, b=0.8, c=c).sensitivities("c").measures[quantity].values
+            for c in (0.0, 1e-14)
+        )
+        np.testing.assert_allclose(near, zero, rtol=1e-6, atol=1e-6 * np.abs(zero).max())
+    f = scheduled.at(a=0.7, b=0.8).function(["c"], ["flux_flow_rate_greatest"])
+    np.testing.assert_allclose(f.jacobian([1e-14]), f.jacobian([0.0]), rtol=1e-6)

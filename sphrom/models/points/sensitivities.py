@@ -35,9 +35,6 @@ from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.store.trajectory import totals
 
-STEP = 1e-5
-"""Step of central differences of coefficients, over the size of a parameter."""
-
 
 @dataclass(frozen=True)
 class Tangents:
@@ -188,11 +185,9 @@ def _integrated(steps: Steps, sides: Sequence[_Sides]) -> Array:
 
 def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _Sides:
     values = point.as_dict()
-    step = STEP * (abs(values[name]) or 1.0)
-    low, high = (
-        model.workspace.case.plan.point({**values, name: values[name] + change})
-        for change in (-step, step)
-    )
+    plan = model.workspace.case.plan
+    step = plan.small_step(point, name)
+    low, high = (plan.point({**values, name: values[name] + change}) for change in (-step, step))
     below, above = (model.on_basis(basis).at(point) for point in (low, high))
     return _Sides(below, above, high.as_dict()[name] - low.as_dict()[name])
 
