@@ -84,8 +84,8 @@ def run(
     `columns` is the number of columns of the pictures of a page.
 
     Raises ArtifactError when there is none, one does not belong to the case, or a file can't be
-    written; CaseError when the format is unknown, a point is not in the fluid, or a format can't
-    represent a model.
+    written; CaseError when the format is unknown, an option doesn't fit it, a point is not in the
+    fluid, or a format can't represent a model.
     """
     formats: dict[str, Callable[[Workspace, Path], int]] = {
         FIELDS: _write_all,
@@ -99,8 +99,13 @@ def run(
     if columns is not None:
         if to != PAGE:
             raise CaseError(f"--columns: needs --to {PAGE}")
+        page.require_columns(columns)
         show = partial(page.content, n_columns=columns)
         formats[PAGE] = partial(_write_models, suffix=".html", content=show)
+    if to in MODELS and context.only is not None:
+        raise CaseError(
+            f"--only: --to {to} exports models, which answer at all points; name models alone"
+        )
     workspace = Workspace(context)
     folder = into or context.out / FOLDER
     if formats[to](workspace, folder) == 0:
@@ -142,6 +147,7 @@ def _write_all(workspace: Workspace, folder: Path) -> int:
         with _opened(workspace, item) as source:
             for name, view in views(item.target.schema, source.shapes).items():
                 path = folder / f"{item.target.path.stem}{'-' * bool(name)}{name}.pvd"
+                make_folder(folder, "--into")
                 write_vtu(path, source, view, force=context.force)
                 steps = f", {view.n_steps} steps" if view.n_steps else ""
                 context.report.info(f"wrote {path}: {view.n_points} points{steps}")
@@ -294,10 +300,11 @@ def _write_models(
 ) -> int:
     """Write the selected trained models as files of one kind, and return their number.
 
-    Models that the kind can't represent are left out, unless the user names them.
+    Models that the kind can't represent are left out, unless the user names them, or none is left.
     """
     context = workspace.context
     n_written = 0
+    n_refused = 0
     for section in context.chosen_models:
         try:
             written = content(model_of(workspace, section))
@@ -305,12 +312,18 @@ def _write_models(
             if context.models:
                 raise
             context.report.warn(str(error))
+            n_refused += 1
             continue
+        make_folder(folder, "--into")
         path = folder / f"model-{section.name}{suffix}"
         with replacement(path, force=context.force) as file:
             file.write(written)
         context.report.info(f"wrote {path}: {data_size(len(written))}")
         n_written += 1
+    if n_refused > 0 and n_written == 0:
+        raise CaseError(
+            "export: none of the case's models can be exported as such a file; the warnings say why"
+        )
     return n_written
 
 

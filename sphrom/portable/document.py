@@ -6,7 +6,7 @@ import base64
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,32 +27,35 @@ DIGITS = 7
 """Digits of coordinates of outlines."""
 
 
-def document(model: Model[Any], n_columns: int = 0) -> dict[str, Any]:
+def document(model: Model[Any]) -> dict[str, Any]:
     """Return a model as a document, with arrays of NumPy in it.
-
-    With `n_columns`, it has the fields of the modes on a grid with so many columns.
 
     Raises CaseError that names the reason if the document can't represent the model.
     """
     model.family.require(Ability.PORTABLE, "export", model.section.name)
     case = model.workspace.case
-    found = {
-        "format": FORMAT,
-        "version": VERSION,
-        "sphrom": __version__,
-        "case": case.name,
-        "name": model.section.name,
-        "parameters": _parameters(model),
-        **model.family.part("portable")(model),
-        "geometry": _geometry(case.scene.domain),
-    }
-    if n_columns:
-        found["fields"] = fields(model, n_columns)
-    digest = hashlib.sha256(json.dumps(encoded(found)).encode()).hexdigest()
-    return {**found, "digest": digest}
+    return with_digest(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "sphrom": __version__,
+            "case": case.name,
+            "name": model.section.name,
+            "parameters": _parameters(model),
+            **model.family.part("portable")(model),
+            "geometry": _geometry(case.scene.domain),
+        }
+    )
 
 
-def encoded(value: Any, kinds: Sequence[str] = ("f8", "f4", "i2", "u1")) -> Any:
+def with_digest(found: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a document with the digest of its other keys."""
+    rest = {key: value for key, value in found.items() if key != "digest"}
+    digest = hashlib.sha256(json.dumps(encoded(rest)).encode()).hexdigest()
+    return {**rest, "digest": digest}
+
+
+def encoded(value: Any, kinds: Sequence[str] = ("f8", "i2", "u1")) -> Any:
     """Return a value for JSON: arrays as objects with their bytes in base64."""
     if isinstance(value, np.ndarray):
         kind = value.dtype.newbyteorder("<").str[1:]
@@ -65,9 +68,9 @@ def encoded(value: Any, kinds: Sequence[str] = ("f8", "f4", "i2", "u1")) -> Any:
     return [encoded(each) for each in value] if isinstance(value, (list, tuple)) else value
 
 
-def content(model: Model[Any], n_columns: int = 0) -> bytes:
+def content(model: Model[Any]) -> bytes:
     """Return the document of a model as a file has it; see `document`."""
-    return json.dumps(encoded(document(model, n_columns)), allow_nan=False).encode()
+    return json.dumps(encoded(document(model)), allow_nan=False).encode()
 
 
 def fields(model: Model[Any], n_columns: int) -> dict[str, Any]:

@@ -139,6 +139,8 @@ static double interpolation(const double *place, double *w) {
                 for (int j = 0; j < n; j++) {
                     gram[i * n + j] = 0;
                     for (int r = 0; r < N_ROWS_; r++) gram[i * n + j] += row[index[i]][r] * row[index[j]][r];
+                    /* Evenness: points at the same distance get the same weights. */
+                    if (i == j) gram[i * n + j] += 1e-12;
                 }
             }
             solve(gram, z, n);
@@ -257,11 +259,11 @@ static void compute(Model *m) {
     for (int i = 0; i < N_MODES; i++) change += (values[i] - expected[i]) * (values[i] - expected[i]);
     for (int f = 0; f < 2; f++) {
         known[f] = UNITS[f] * hypot(m->constants[f] * m->state[N], sqrt(change) * SHARES[f]);
-        errors[N_OUTPUTS + f] = known[f];
+        if (known[f] < INFINITY) errors[N_OUTPUTS + f] = known[f];  /* not where a run has diverged */
     }
     for (int o = 0; o < N_OUTPUTS; o++) {
         double square = m->noise[o] + OUTPUT_SHARES[o] * known[(int)FIELDS[o]] * known[(int)FIELDS[o]];
-        if (square >= 0) errors[o] = sqrt(square);
+        if (square >= 0 && square < INFINITY) errors[o] = sqrt(square);
     }
 }
 
@@ -306,7 +308,7 @@ API Status fmi2EnterInitializationMode(void *c) { prepare(c, 1); return OK; }
 API Status fmi2ExitInitializationMode(void *c) { prepare(c, 1); return OK; }
 API Status fmi2Terminate(void *c) { return OK; }
 
-/* References: parameters, the input and its switch from INPUT on, then outputs, states, rates. */
+/* References, BLOCK each: parameters, the input and its switch, outputs, states, rates. */
 API Status fmi2GetReal(void *c, const Reference v[], size_t n, double x[]) {
     Model *m = c;
     double rate[N_STATES];

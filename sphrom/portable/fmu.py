@@ -21,7 +21,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.errors import ArtifactError
+from sphrom.errors import CaseError
 from sphrom.models.contract import Model
 from sphrom.portable.document import document
 from sphrom.reduction.reduced_operators import stability_limits
@@ -37,12 +37,16 @@ STEP_SHARE = 0.125
 """Steps in co-simulation, over the largest stable ones around training states."""
 SECONDS = 300
 """Time that compilation may take [s]."""
+MOST_REASON = 500
+"""Most characters of the compiler's messages in a warning."""
 
 
 def content(model: Model[Any]) -> bytes:
     """Return a model as the bytes of an FMU.
 
-    Raises CaseError as `document` does, ArtifactError if the compiler fails.
+    Where the compiler fails, it warns and leaves the binary out.
+
+    Raises CaseError as `document` does, and if two variables of the unit would have one name.
     """
     found = document(model)
     name = "sphrom_" + re.sub(r"\W", "_", found["case"], flags=re.ASCII)
@@ -54,7 +58,14 @@ def content(model: Model[Any]) -> bytes:
         "sources/fmu.c": source,
     }
     if (place := binary()) is not None:
-        files[place.format(name)] = _compiled(source, header)
+        try:
+            files[place.format(name)] = _compiled(source, header)
+        except subprocess.SubprocessError as error:
+            reason = str(getattr(error, "stderr", None) or error).strip()[-MOST_REASON:]
+            model.workspace.context.report.warn(
+                f"export: the unit of {model.section.name} has sources alone, without a binary, "
+                f"because the C compiler failed: {reason}"
+            )
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
         for path, data in files.items():
@@ -73,9 +84,9 @@ def _compiled(source: bytes, header: bytes) -> bytes:
         Path(folder, "fmu.c").write_bytes(source)
         Path(folder, "model.h").write_bytes(header)
         command = [COMPILER, *FLAGS, "fmu.c", "-o", "fmu.so", "-lm"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=SECONDS)
-        if done.returncode != 0:
-            raise ArtifactError(f"export: the C compiler failed: {done.stderr.strip()[-500:]}")
+        subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, check=True, timeout=SECONDS
+        )
         return Path(folder, "fmu.so").read_bytes()
 
 
@@ -215,12 +226,19 @@ def _list(name: str, values: Iterable[str]) -> str:
 
 
 def _description(found: Mapping[str, Any], name: str) -> str:
-    """Return the description of the unit's variables."""
+    """Return the description of the unit's variables. Raises CaseError if two have one name."""
     variables = list[str]()
+    labels = set[str]()
     groups: dict[str, list[int]] = {"outputs": [], "states": [], "rates": []}
     n_integrated = found["n_integrated"]
 
     def add(block: int, number: int, label: str, kind: str, about: str, **real: Any) -> None:
+        if label in labels:
+            raise CaseError(
+                f"export: two variables of the unit would be called {label}; rename a constant, "
+                "parameter or measurement"
+            )
+        labels.add(label)
         values = "".join(f" {key}={quoteattr(str(value))}" for key, value in real.items())
         variables.append(
             f'<ScalarVariable name={quoteattr(label)} valueReference="{block * BLOCK + number}" '
@@ -241,7 +259,8 @@ def _description(found: Mapping[str, Any], name: str) -> str:
     unknown = "estimated root mean square error; -1 where it is unknown"
     outputs += [(f"error_{label}", unit, unknown) for label, unit, _ in outputs]
     outputs += [("error_velocity", "m/s", unknown), ("error_pressure", "Pa", unknown)]
-    outputs += [("outside", "1", "1 outside of the training, where errors are extrapolated")]
+    about = "1 outside of the training, where errors are extrapolated, and where they are unknown"
+    outputs += [("outside", "1", about)]
     for k, (label, unit, about) in enumerate(outputs):
         groups["outputs"].append(len(variables) + 1)
         add(2, k, label, f'causality="output" {calculated}', about, unit=unit)

@@ -29,8 +29,8 @@ MOST_BYTES, FOR_FIELDS = 1_400_000, 400_000
 """Most bytes of the page then, and bytes that the fields of modes may have on any page."""
 WRITTEN = 8.0 / 3.0
 """Bytes of a number of 16 bits in base64."""
-LEAST_COLUMNS = 8
-"""Least columns of a grid that shows anything."""
+LEAST_COLUMNS, GREATEST_COLUMNS = 8, 500
+"""Least columns of a grid that shows anything, and greatest of a page that browsers still load."""
 LARGEST = 32767
 """The largest number of 16 bits."""
 ROUNDING = 1e-10
@@ -44,10 +44,8 @@ def content(model: Model[Any], n_columns: int | None = None) -> bytes:
     ----------
     n_columns : number of columns of the picture's grid; by default as many as `MOST_BYTES` allow.
 
-    Raises CaseError if a page can't represent the model, or has too few columns.
+    Raises CaseError if a page can't represent the model.
     """
-    if n_columns is not None and n_columns < LEAST_COLUMNS:
-        raise CaseError(f"--columns: must be {LEAST_COLUMNS} or more; got {n_columns}")
     found = document.document(model)
     if n_columns is None:
         width, height = model.workspace.case.scene.domain.lengths
@@ -55,7 +53,7 @@ def content(model: Model[Any], n_columns: int | None = None) -> bytes:
         n_cells = left / (WRITTEN * (3 * found["n_modes"] + found["n_own"] + 1))
         n_columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, int(math.sqrt(n_cells * width / height))))
     fields = document.fields(model, n_columns)
-    found["fields"] = fields | _rounded(fields["modes"])
+    found = document.with_digest({**found, "fields": fields | _rounded(fields["modes"])})
     case = model.workspace.case
     name = found["name"]
     template = Template(_text("page.html"))
@@ -69,6 +67,14 @@ def content(model: Model[Any], n_columns: int | None = None) -> bytes:
         footer=escape(f"sphrom {__version__}, sphrom export --to page"),
     )
     return page.encode()
+
+
+def require_columns(n_columns: int) -> None:
+    """Raise CaseError unless a page can have a grid with so many columns."""
+    if not LEAST_COLUMNS <= n_columns <= GREATEST_COLUMNS:
+        raise CaseError(
+            f"--columns: must be from {LEAST_COLUMNS} to {GREATEST_COLUMNS}; got {n_columns}"
+        )
 
 
 def gradient(colours: str, n_colours: int = 9) -> list[str]:

@@ -107,18 +107,23 @@ def run(context: StageContext) -> None:
     )
     answer = find_answer(workspace, tables)
     head = [] if answer is None else [_headline(answer)]
-    head += _links(workspace.out)
+    head += _links(workspace)
     page = render(case.name, lead, list(parts.items()), footer, head).encode()
     path = workspace.out / PAGE
     write_whole(path, page)
     context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
 
 
-def _links(out: Path) -> Iterator[Html]:
-    """Yield links to the exported pages of models."""
-    for path in sorted(out.glob(f"{FOLDER}/model-*.html")):
-        address = quote(path.relative_to(out).as_posix())
-        yield element("p", element("a", f"Run {path.stem} in the browser", href=address))
+def _links(workspace: Workspace) -> Iterator[Html]:
+    """Yield links to the exported pages of the case's models that were not trained again since."""
+    for model in workspace.case.rom:
+        trained = workspace.model(model).path
+        path = workspace.out / FOLDER / f"model-{model.name}.html"
+        if not (trained.exists() and path.exists()):
+            continue
+        if path.stat().st_mtime_ns >= trained.stat().st_mtime_ns:
+            address = quote(path.relative_to(workspace.out).as_posix())
+            yield element("p", element("a", f"Run {path.stem} in the browser", href=address))
 
 
 def _headline(answer: Answer) -> Html:

@@ -112,6 +112,11 @@ def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) ->
         (("--to", "csv", "--at", "nan,0"), 2, "--at: must be two numbers"),
         (("--out", "elsewhere"), 3, "nothing to export"),
         (("--to", "model", "--only", "galerkin"), 2, "galerkin is evaluated on particles"),
+        (("--to", "model"), 2, "none of the case's models can be exported"),
+        (("--to", "model", "--only", "reynolds=100"), 2, "--only: --to model exports models"),
+        (("--to", "page", "--columns", "3"), 2, "--columns: must be from 8 to 500; got 3"),
+        (("--to", "page", "--columns", "501"), 2, "--columns: must be from 8 to 500; got 501"),
+        (("--into", "tiny.yaml"), 3, "choose another folder with `--into`"),
     ],
 )
 def test_what_cannot_be_exported_is_said(place, sphrom, arguments, code, says) -> None:

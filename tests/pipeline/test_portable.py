@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
+import hashlib
 import json
 import re
+import subprocess
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,8 +21,11 @@ import sphrom as package
 from sphrom.case.loader import parameter_point
 from sphrom.errors import CaseError
 from sphrom.models.points.fast_model import FastModel, FastRun
+from sphrom.models.points.portable import Products
 from sphrom.portable import fmu, page
-from sphrom.portable.document import content, document
+from sphrom.portable.document import content, document, fields
+from sphrom.reduction.affine import VISCOSITY
+from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.reference_model import Integrator
 
 ROOT = Path(__file__).parents[2]
@@ -159,6 +165,10 @@ def test_the_programs_of_the_documentation_run_as_rom_does(name, trained, writte
         assert np.abs(run.coordinates - usual.coordinates).max() < 0.01 * size
 
 
+def test_the_second_program_knows_models_without_estimates(reader) -> None:
+    assert reader.errors(SimpleNamespace(d={"errors": None})) is None
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_documents_follow_their_schema(name, written) -> None:
     jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
@@ -173,22 +183,34 @@ def test_documents_follow_their_schema(name, written) -> None:
     assert len(set(names)) == len(names) == found["errors"]["noise"]["shape"][1]
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_documents_of_pages_follow_the_schema_too(name, trained) -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
+    schema = json.loads((ROOT / "sphrom" / "portable" / "model.schema.json").read_text())
+    text = page.content(trained(name), 24).decode()
+    part = re.search(r'<script id="model" type="application/json">(.*?)</script>', text, re.DOTALL)
+    found = json.loads(part[1])
+    jsonschema.Draft202012Validator(schema).validate(found)
+    digest = found.pop("digest")
+    assert hashlib.sha256(json.dumps(found).encode()).hexdigest() == digest
+
+
 def test_fields_are_those_of_runs(trained) -> None:
     model = trained("channel")
-    fields = document(model, 30)["fields"]
+    grid = fields(model, 30)
     run = model.run(parameter_point(model.workspace.case, POINTS["channel"][0]))
     states = np.column_stack((np.ones(len(run.time)), run.states))
-    found = np.tensordot(states, fields["modes"], (1, 1))
+    found = np.tensordot(states, grid["modes"], (1, 1))
     x, y = 1.75, 0.35  # the centre of a cell
-    column, row = int(x / 3 * fields["nx"]), int(y / 2 * fields["ny"])
-    centre = np.array([[3 * (column + 0.5) / fields["nx"], 2 * (row + 0.5) / fields["ny"]]])
+    column, row = int(x / 3 * grid["nx"]), int(y / 2 * grid["ny"])
+    centre = np.array([[3 * (column + 0.5) / grid["nx"], 2 * (row + 0.5) / grid["ny"]]])
     samples = run.sampled(centre)
     velocity = found[:, :2, row, column]
     assert np.abs(velocity - samples.velocity[:, 0]).max() < 1e-6 * np.abs(velocity).max()
     pressure = found[:, 2, row, column]
     pressure += run.reduced.mean_density_fluctuation * model.workspace.case.plan.sound_speed**2
     assert np.abs(pressure - samples.pressure[:, 0]).max() < 1e-5 * np.abs(pressure).max()
-    assert not fields["inside"][int(0.5 * fields["ny"]), int(fields["nx"] / 3)]
+    assert not grid["inside"][int(0.5 * grid["ny"]), int(grid["nx"] / 3)]
 
 
 def changed(case: Mapping[str, Any], **keys: Any) -> dict[str, Any]:
@@ -209,6 +231,35 @@ def test_what_the_document_lacks_is_refused_by_name(keys, reason, tmp_path) -> N
     study.run(until="operators")
     with pytest.raises(CaseError, match=reason):
         document(study.model("fast", reynolds=100)._fast)
+
+
+def test_initial_states_that_depend_on_a_parameter_are_refused(tmp_path) -> None:
+    scene = {
+        "kind": "custom",
+        "box": {"lower": [0, 0], "upper": [1, 1], "periodic": ["x", "y"]},
+        "constants": {"k": 2 * np.pi, "speed": 1.0},
+        "initial": {"u": "speed*sin(k*y)", "v": "0.2*sin(k*x)"},
+        "reference_length": 1.0,
+    }
+    train = {"reynolds": [50, 100], "speed": [0.5, 1.0]}
+    case = {**VORTEX, "scene": scene, "parameters": {"train": train}}
+    study = package.Study(changed(case), out=tmp_path, quiet=True, threads=1)
+    study.run(until="operators")
+    with pytest.raises(CaseError, match="its initial state depends on a parameter"):
+        document(study.model("fast", reynolds=100)._fast)
+
+
+@pytest.mark.parametrize("ends", [(-1.0, 0.0), (-1.0, -0.5), (0.2, 0.2), (0.0, 0.0), (0.0, 0.4)])
+def test_arrays_are_split_into_products_whatever_the_sign_of_a_parameter(ends) -> None:
+    products = Products({VISCOSITY: (0.015, 0.017), "f": ends})
+    for within_ranges in (False, True):
+        split = products.of(
+            "array",
+            lambda viscosity, factors: np.array([1.0, 2.0 * factors["f"] - 40.0 * viscosity]),
+            within_ranges,
+        )
+        expected = [[1.0, 0.0], [0.0, -40.0], [0.0, 2.0], [0.0, 0.0]]
+        np.testing.assert_allclose(split, expected, atol=1e-9)
 
 
 # Units for system simulation
@@ -293,6 +344,88 @@ def test_the_driving_is_an_input_whose_errors_are_unknown(trained, unit) -> None
     assert all((own[name] >= 0.0).all() for name in errors)
 
 
+def compiled(model: FastModel, functions: str, folder: Path) -> ctypes.CDLL:
+    """Return the library of a unit with more functions."""
+    if fmu.binary() is None:
+        pytest.skip("there is no C compiler")
+    (folder / "model.h").write_bytes(fmu._header(document(model)))
+    (folder / "more.c").write_text(f'#include "{fmu.SOURCE}"\n{functions}\n')
+    library = folder / "more.so"
+    command = [fmu.COMPILER, *fmu.FLAGS, "-I", folder, folder / "more.c", "-o", library, "-lm"]
+    subprocess.run(command, check=True, timeout=120)
+    return ctypes.CDLL(str(library))
+
+
+def test_units_weigh_training_runs_as_rom_does(trained, tmp_path) -> None:
+    function = (
+        "API double weights(const double *place, double *w) { return interpolation(place, w); }"
+    )
+    weights = compiled(trained("lid"), function, tmp_path).weights
+    weights.restype = ctypes.c_double
+    places = document(trained("lid"))["errors"]["places"]  # the corners of a rectangle
+    low, high = places.min(axis=0), places.max(axis=0)
+    for share in ([0.5, 0.5], [0.5, 0.2], [0.3, 0.6], [0.0, 0.5], [1.4, 0.5], [-0.2, 1.3]):
+        place = low + share * (high - low)
+        expected, distance = interpolation_weights(places, place)
+        w = np.zeros(len(places))
+        pointers = [x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in (place, w)]
+        assert weights(*pointers) == pytest.approx(distance, rel=1e-5, abs=1e-9)
+        np.testing.assert_allclose(w, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("state", ["NAN", "INFINITY"])
+def test_errors_of_diverged_units_are_unknown(state, trained, tmp_path) -> None:
+    function = f"""API double largest_error(double state) {{
+        static Model m;
+        double largest = -INFINITY;
+        fmi2Reset(&m);
+        prepare(&m, 1);
+        m.state[0] = state, m.state[N] = state;
+        compute(&m);
+        for (int o = 0; o < N_UNKNOWN; o++)
+            if (!(m.outputs[N_OUTPUTS + o] <= largest)) largest = m.outputs[N_OUTPUTS + o];
+        return largest;
+    }}
+    API double of_diverged(void) {{ return largest_error({state}); }}
+    API double of_zero(void) {{ return largest_error(0); }}"""
+    unit = compiled(trained("lid"), function, tmp_path)
+    unit.of_diverged.restype = unit.of_zero.restype = ctypes.c_double
+    assert unit.of_diverged() == -1.0
+    assert unit.of_zero() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("parameters", "driving"),
+        ("parameters", "own_driving"),
+        ("parameters", "outside"),
+        ("outputs", "error_drag_force_x"),
+    ],
+)
+def test_units_whose_variables_would_share_a_name_are_refused(kind, name, trained) -> None:
+    found = document(trained("channel"))
+    last = {**found[kind][-1], "name": name}
+    with pytest.raises(CaseError, match=f"two variables of the unit would be called {name};"):
+        fmu._description({**found, kind: [*found[kind][:-1], last]}, "unit")
+
+
+@pytest.mark.parametrize("flags", [("-no-such-flag",), ()])
+def test_units_that_do_not_compile_have_sources_alone(
+    flags, trained, monkeypatch, capsys, tmp_path
+) -> None:
+    if fmu.binary() is None:
+        pytest.skip("there is no C compiler")
+    monkeypatch.setattr(fmu, "FLAGS", flags or fmu.FLAGS)
+    monkeypatch.setattr(fmu, "SECONDS", 300 if flags else 1e-3)
+    (tmp_path / "model.fmu").write_bytes(fmu.content(trained("vortex")))
+    with zipfile.ZipFile(tmp_path / "model.fmu") as archive:
+        assert not [name for name in archive.namelist() if name.startswith("binaries")]
+    said = capsys.readouterr().err
+    assert "has sources alone, without a binary, because the C compiler failed" in said
+    assert ("no-such-flag" if flags else "timed out") in said
+
+
 def test_units_without_a_compiler_have_sources_alone(trained, monkeypatch, tmp_path) -> None:
     monkeypatch.setattr(fmu, "COMPILER", "no-such-compiler")
     (tmp_path / "model.fmu").write_bytes(fmu.content(trained("vortex")))
@@ -336,7 +469,7 @@ def test_a_page_answers_as_rom_does(name, trained, shown) -> None:
                 }};
             }})()"""
         )
-        numbers = document(model, 24)
+        numbers = document(model)
         known = in_its_steps(model, values, numbers["runs"]["steps"][found["nearest"]])
         size = np.abs(known.coordinates).max()
         coordinates = np.reshape(found["coordinates"], known.coordinates.shape)
@@ -351,12 +484,12 @@ def test_a_page_answers_as_rom_does(name, trained, shown) -> None:
             assert np.abs(np.array(found["outputs"][index]) - expected).max() < tolerance
             expected = column(known.measured_errors, output)
             np.testing.assert_allclose(found["errors"][index], expected, rtol=1e-5)
-        fields = numbers["fields"]
-        inside = fields["inside"].astype(bool).ravel()
+        grid = fields(model, 24)
+        inside = grid["inside"].astype(bool).ravel()
         axes = (
             low + (high - low) * (np.arange(n) + 0.5) / n
             for low, high, n in zip(
-                fields["lower"], fields["upper"], (fields["nx"], fields["ny"]), strict=True
+                grid["lower"], grid["upper"], (grid["nx"], grid["ny"]), strict=True
             )
         )
         points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)[inside]
@@ -454,5 +587,3 @@ def test_the_documentation_shows_the_present_page() -> None:
 def test_pages_are_small(trained) -> None:
     model = trained("lid")
     assert len(page.content(model, 24)) < len(page.content(model)) < 1_500_000
-    with pytest.raises(CaseError, match="--columns: must be 8 or more; got 7"):
-        page.content(model, 7)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import os
 import re
 
 import numpy as np
@@ -16,10 +17,16 @@ def test_report_without_figures(place, sphrom) -> None:
     swept = ("--set", "sweep={name: other, model: full, reynolds: [100]}")
     sphrom("sweep", "tiny.yaml", *swept, "--workers", "1", code=0)
     (place / "export").mkdir()
-    (place / "export" / "model-fast 1.html").touch()
+    for name in ("galerkin", "apg"):
+        (place / f"model-{name}.h5").touch()
+    for name in ("galerkin", "apg", "removed"):
+        (place / "export" / f"model-{name}.html").touch()
+    os.utime(place / "export" / "model-apg.html", (0, 0))  # the model was trained again since
     sphrom("report", "tiny.yaml", code=0)
     text = (place / "report.html").read_text()
-    assert '<a href="export/model-fast%201.html">Run model-fast 1 in the browser</a>' in text
+    assert '<a href="export/model-galerkin.html">Run model-galerkin in the browser</a>' in text
+    assert "model-apg" not in text
+    assert "model-removed" not in text
     assert "full: 1 run, 1 complete" in text
     assert "http" not in text.replace("http-equiv", "")
     assert "No figures were drawn" in text

@@ -95,16 +95,16 @@ class Products:
         """Return the products (n_products,) of values."""
         return np.array([math.prod(values[name] for name in names) for names in self.names])
 
-    def of(self, name: str, of: Of, near: bool = False) -> Array:
+    def of(self, name: str, of: Of, within_ranges: bool = False) -> Array:
         """Return the array of each product (n_products, ...), whose sum is an array at any values.
 
-        It is computed where factors are zero or, if `near`, in their trained ranges only.
+        It is computed where factors are zero or, `within_ranges`, in their trained ranges only.
 
         Raises CaseError that names the array if it is not affine in the products.
         """
         high = {n: max(map(abs, ends)) or 1.0 for n, ends in self.ranges.items()}
         low = dict.fromkeys(high, 0.0)
-        if near:
+        if within_ranges:
             low = {n: a for n, (a, _) in self.ranges.items()}
             high = {n: b if b > a else 2.0 * b or 1.0 for n, (a, b) in self.ranges.items()}
 
@@ -114,11 +114,13 @@ class Products:
 
         corners = [low | {n: high[n] for n in names} for names in self.names]
         values = np.stack(list(map(array, corners)))
-        scales = self.at(high)
+        scales = self.at({n: max(abs(low[n]), abs(high[n])) or 1.0 for n in high})
         rows = np.stack(list(map(self.at, corners))) / scales
         flat = np.linalg.solve(rows, values.reshape(len(rows), -1)) / scales[:, None]
         for some in sampled(self.ranges, N_COMPARED):
-            require_fit(name, self.at(some) @ flat, array(some).ravel())
+            missed = misfit(self.at(some) @ flat, array(some).ravel())
+            if not missed <= MISFIT:
+                _refuse(f"{name} is not affine in the parameters (misfit {missed:.1g})")
         return flat.reshape(values.shape)
 
 
@@ -129,12 +131,10 @@ def sampled(ranges: Ranges, n: int) -> list[dict[str, float]]:
     return [dict(zip(ranges, row, strict=True)) for row in (low + shares * (high - low)).tolist()]
 
 
-def require_fit(name: str, found: Array, known: Array) -> None:
-    """Raise CaseError with a name unless two arrays agree."""
+def misfit(found: Array, known: Array) -> float:
+    """Return the largest difference of two arrays, over the largest value of the second."""
     size = float(np.abs(known).max(initial=0.0)) or 1.0
-    misfit = float(np.abs(found - known).max(initial=0.0)) / size
-    if not misfit <= MISFIT:
-        _refuse(f"{name} is not affine in the parameters (misfit {misfit:.1g})")
+    return float(np.abs(found - known).max(initial=0.0)) / size
 
 
 def padded(rows: Sequence[Array]) -> Array:
@@ -293,7 +293,7 @@ class _Export:
             assert found is not None
             return found(instants)
 
-        array = self.products.of("the driving over time", amplitude, near=True)
+        array = self.products.of("the driving over time", amplitude, within_ranges=True)
         return {"per_snapshot": every, "amplitude": array}
 
     def _starts(self) -> Numbers:
@@ -305,7 +305,8 @@ class _Export:
         found = [self.model.at(point) for point in points]
         for values in () if spun_up else sampled(self.ranges, N_COMPARED):
             other = self.model.at(self._point(values))
-            require_fit("the initial state", found[0].start, other.start)
+            if not misfit(found[0].start, other.start) <= MISFIT:
+                _refuse("its initial state depends on a parameter")
         return {
             "places": np.array([[*point.as_dict().values()] for point in points]) / scales,
             "coordinates": np.stack([(each.leading or each).start for each in found]),
