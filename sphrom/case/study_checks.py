@@ -107,7 +107,10 @@ def check_training(case: Case) -> Found:
     for name in plan.parameter_names:
         several = len({point.as_dict()[name] for point in plan.train_points}) > 1
         if name not in section.ranges and (several or name != REYNOLDS):
-            yield "training", f"{name} varies in parameters; give its range, too, or one value"
+            way = "varies in parameters; give its range, too, or one value"
+            if not several:
+                way = "is in the points of parameters; give its range, or take it out of them"
+            yield "training", f"{name} {way}"
     if (least := len(studies.Region(case).starts(())) + 1) > section.budget:
         reason = f"training starts from {least - 1} full runs, and tests its model at one more"
         yield "training.budget", f"must be at least {least}: {reason}; got {section.budget}"
