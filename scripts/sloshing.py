@@ -236,7 +236,8 @@ def filling_map(folder: Path) -> None:
     grid = [each.ravel() for each in np.meshgrid(ratios, levels)]
     found = amplitudes(study, {"ratio": grid[0], "filling": grid[1], "strength": 0.003})
     label = "amplitude at the wall [m]"
-    field = Field("strength 0.003 m/s2", label, found.reshape(len(levels), len(ratios)))
+    title = f"{label}, strength 0.003 m/s2"
+    field = Field(title, label, found.reshape(len(levels), len(ratios)))
     figure = draw_grid([[field]], Frame((0.7, 1.3, 0.4, 0.6), None))
     figure.axes[0].set(xlabel="frequency over that of a half-full tank [–]", ylabel="depth [m]")
     picture(figure, folder / "sloshing-filling.png")
