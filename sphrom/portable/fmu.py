@@ -124,19 +124,7 @@ def _header(found: Mapping[str, Any]) -> bytes:
     ]
     uniform = [force["uniform"] for force in forces]
     pressure = found["pressure"]
-    offsets = np.cumsum([n_modes + n_own, *rows]).tolist()
-    corrections = [(0, found["correction"])]
-    if pressure is not None:
-        corrections.append((n_modes, pressure["correction"]))
-    corrections += [
-        (first, force["correction"]) for first, force in zip(offsets[:-1], forces, strict=True)
-    ]
-    entries = [
-        (offset + target, c["lengths"][k], c["places"], c["values"][..., k])
-        for offset, c in corrections
-        if c is not None
-        for k, target in enumerate(c["targets"])
-    ]
+    entries = _entries(found, rows)
     names = [each["name"] for each in parameters] + ["kinematic viscosity"]
     n_outputs = len(found["outputs"])
     limits = [
@@ -213,6 +201,29 @@ def _header(found: Mapping[str, Any]) -> bytes:
         _list("int ENTRY_RUNS", (str(len(places)) for _, _, places, _ in entries)),
     ]
     return "\n".join([*lines, ""]).encode()
+
+
+def _entries(
+    found: Mapping[str, Any], rows: Sequence[int]
+) -> list[tuple[int, float, Array, Array]]:
+    """Return target, correlation length, places and values of each corrected number.
+
+    The numbers are the coordinates, those of own pressure modes, and the loads, whose `rows` belong
+    to one force each.
+    """
+    n_modes = found["n_modes"]
+    firsts = np.cumsum([n_modes + found["n_own"], *rows]).tolist()
+    corrections = [(0, found["correction"])]
+    if found["pressure"] is not None:
+        corrections.append((n_modes, found["pressure"]["correction"]))
+    for first, force in zip(firsts[:-1], found["forces"], strict=True):
+        corrections.append((first, force["correction"]))
+    return [
+        (first + target, known["lengths"][k], known["places"], known["values"][..., k])
+        for first, known in corrections
+        if known is not None
+        for k, target in enumerate(known["targets"])
+    ]
 
 
 def _array(name: str, values: Any) -> str:

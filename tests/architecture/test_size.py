@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 327_150, 256
+TOKENS, MODULES = 327_200, 256
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
 TEST_LINES = 30_540
 LARGEST_SHARE = 0.16

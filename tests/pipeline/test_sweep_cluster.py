@@ -43,6 +43,13 @@ def started(*command: str, cwd: Path) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
+def kill_busy_worker(client):
+    """Kill a worker of a cluster, one that has a task if there is any."""
+    pids = client.run(os.getpid)
+    busy = [name for name, tasks in client.processing().items() if tasks]
+    os.kill(pids[next(iter(busy or pids))], signal.SIGKILL)
+
+
 @pytest.fixture(scope="module")
 def scratch(tmp_path_factory) -> Path:
     """The folder in which workers keep temporary files."""
@@ -129,9 +136,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
     )  # fmt: skip
     try:
         wait_for(process, lambda: list((empty / "sweep-full").glob("part-*.h5")))
-        pids = client.run(os.getpid)
-        busy = [name for name, tasks in client.processing().items() if tasks]
-        os.kill(pids[next(iter(busy or pids))], signal.SIGKILL)
+        kill_busy_worker(client)
         _, stderr = process.communicate(timeout=600)
     finally:
         if process.poll() is None:
@@ -245,9 +250,7 @@ def test_a_killed_worker_continues_in_its_own_folder(
     process = started(*command, cwd=Path.cwd())
     try:
         wait_for(process, lambda: list(scratch.rglob("sphrom-*/*.checkpoint")))
-        pids = client.run(os.getpid)
-        busy = [name for name, tasks in client.processing().items() if tasks]
-        os.kill(pids[next(iter(busy or pids))], signal.SIGKILL)
+        kill_busy_worker(client)
         _, stderr = process.communicate(timeout=120)
     finally:
         if process.poll() is None:
