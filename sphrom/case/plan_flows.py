@@ -16,7 +16,7 @@ from sphrom.case.fields import LARGEST
 from sphrom.case.plan_points import PointsPlan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import grid_points
+from sphrom.metrics.grids import grid_points
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid, Strip

@@ -1,10 +1,11 @@
 """Figures as grids of panels, which are pictures of fields or axes with curves.
 
 Pictures take fields on a regular grid (ny, nx), with rows from below, and NaN, drawn in grey,
-outside of the fluid. If a frame has solids, their exact outline is drawn instead of grid cells. In
-all figures the full model and measurements are black, the exact solution is grey, and a reduced
-model has the colour, line style and marker of its index in the case. Colours are those of Okabe and
-Ito, which colour-blind readers can distinguish. Matplotlib is imported when a figure is drawn.
+outside of the fluid. If a frame has solids, their exact outline is drawn instead of grid cells. A
+box in space is shown by three slices side by side, see `sphrom.metrics.grids.Slices`. In all
+figures the full model and measurements are black, the exact solution is grey, and a reduced model
+has the colour, line style and marker of its index in the case. Colours are those of Okabe and Ito,
+which colour-blind readers can distinguish. Matplotlib is imported when a figure is drawn.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.metrics.measures import grid_points
+from sphrom.metrics.grids import Extent, Slices, grid_points
 from sphrom.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -107,7 +108,6 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
     axis.set_minor_formatter(of.NullFormatter())
 
 
-Extent = tuple[float, float, float, float]
 Range = tuple[float, float]
 Solids = tuple[Array, Array, Array]
 """Solids as x (nx,) and y (ny,) of pixels [m], and their signed distance (ny, nx) from walls [m],
@@ -141,6 +141,8 @@ MAX_PIXELS = 400
 """Most pixels along the longer side of a raster."""
 EXTENDED: Any = ("neither", "min", "max", "both")
 """The pointed ends of a colour bar: neither, the lower, the upper, both."""
+NOWHERE = 1e30
+"""Coordinate of pixels between slices, far from all points [m]."""
 REACH = 1.1
 """Distance from the nearest point, in spacings, above which a pixel is outside of the fluid."""
 LOOKS: dict[Role, dict[str, Any]] = {
@@ -164,9 +166,24 @@ class Frame:
     extent: Extent
     """Left, right, lower and upper edge [m]."""
     solids: Solids | None = None
+    slices: Slices | None = None
+    """The slices that the picture shows, of a box in space."""
+
+    @property
+    def ends(self) -> Extent:
+        """The coordinates at its left, right, lower and upper edge [m]."""
+        left, right, lower, upper = self.extent
+        if self.slices is not None:
+            right = upper = self.slices.upper[2]
+        return left, right, lower, upper
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """The labels of the axes."""
+        return ("x [m]", "y [m]") if self.slices is None else ("x, then z [m]", "y, then z [m]")
 
     def raster(self, position: Array) -> Callable[[Array], Array]:
-        """Return a function that turns values at points (n_points, 2) [m] into pixels (ny, nx).
+        """Return a function that turns values at points (n_points, n_dim) [m] into pixels (ny, nx).
 
         Each pixel has the value of the nearest point, and NaN outside of the fluid.
         """
@@ -175,10 +192,15 @@ class Frame:
         left, right, lower, upper = self.extent
         sides = np.array([upper - lower, right - left])
         spacing = float(np.sqrt(np.prod(sides) / len(position)))
+        if self.slices is not None:
+            edges = np.subtract(self.slices.upper, self.slices.lower)
+            spacing = float(np.cbrt(np.prod(edges) / len(position)))
         pixel = max(spacing / PIXELS_PER_SPACING, float(np.max(sides)) / MAX_PIXELS)
         ny, nx = map(int, np.maximum(1, np.ceil(sides / pixel)))
-        points = grid_points((left, lower), (right, upper), (ny, nx)).reshape(ny, nx, 2)
-        distance, nearest = cKDTree(position).query(points)
+        points = grid_points((left, lower), (right, upper), (ny, nx))
+        if self.slices is not None:
+            points = np.nan_to_num(self.slices.places(points), nan=NOWHERE)
+        distance, nearest = cKDTree(position).query(points.reshape(ny, nx, -1))
         return lambda values: np.where(distance <= REACH * spacing, values[nearest], np.nan)
 
 
@@ -309,11 +331,16 @@ def _draw_pictures(
             if axes is not first:
                 axes.sharex(first)
                 axes.sharey(first)
-            axes.locator_params(axis="x", nbins=max(1, min(X_TICKS, int(AN_INCH * width))))
+            if frame.slices is None:
+                axes.locator_params(axis="x", nbins=max(1, min(X_TICKS, int(AN_INCH * width))))
+            elif axes is first:
+                axes.set_xticks(*frame.slices.ticks(0))
+                axes.set_yticks(*frame.slices.ticks(1))
             largest = rcParams["axes.titlesize"]
             axes.set_title(field.title, fontsize=min(largest, largest * width / PICTURE + 1.5))
-            axes.set_xlabel("x [m]")
-            axes.set_ylabel("y [m]" if scales is not None else f"{label}\n\ny [m]")
+            x_label, y_label = frame.labels
+            axes.set_xlabel(x_label)
+            axes.set_ylabel(y_label if scales is not None else f"{label}\n\n{y_label}")
             axes.label_outer()
         values = np.concatenate([field.values.ravel() for field in fields])
         ends = 1 * bool((values < scale[0]).any()) + 2 * bool((values > scale[1]).any())

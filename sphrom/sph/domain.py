@@ -86,6 +86,11 @@ class Domain(ABC):
     """Whether the box is periodic, by axis."""
 
     @property
+    def n_dim(self) -> int:
+        """The number of axes."""
+        return len(self.lower)
+
+    @property
     def lengths(self) -> tuple[float, float]:
         """The box's edges [m]."""
         return (self.upper[0] - self.lower[0], self.upper[1] - self.lower[1])
