@@ -170,7 +170,10 @@ class TimesPlan(FlowsPlan):
         density = self._fluid.reference_density
         measures = self._scene.measure.items()
         scales = ((n, m.coefficient) for n, m in measures if isinstance(m, ForceMeasure))
-        return {n: 2.0 / (density * c.speed**2 * c.length) for n, c in scales if c is not None}
+        n_across = self._scene.domain.n_dim - 1
+        return {
+            n: 2.0 / (density * c.speed**2 * c.length**n_across) for n, c in scales if c is not None
+        }
 
 
 def lengthened(steps: TimeSteps, final_time: float) -> TimeSteps:

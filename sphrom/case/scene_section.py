@@ -209,7 +209,7 @@ class SceneSection(Section):
         """The recorded histories, by column name."""
         columns: dict[str, Column] = {}
         for name, measured in self.recorded.items():
-            columns |= Column.named(name, measured.quantities)
+            columns |= Column.named(name, measured.quantities, self.domain.n_dim)
         return columns
 
     def starts_by(self, name: str) -> bool:

@@ -134,6 +134,10 @@ class FlowAcross(FieldMeasure):
         return {"flow_rate": np.sum(velocity[..., self.axis] * self._weights, axis=-1)}
 
 
+FLOW_RATES = (FlowRate, FlowAcross)
+"""The kinds of flow rates."""
+
+
 class Integral(SegmentMeasure):
     """The integrals of velocity and pressure along a segment."""
 
@@ -153,13 +157,13 @@ def gauss_rule(length: float, longest: float) -> tuple[Array, Array]:
 
 
 def of_loads(loads: Array, n_dim: int) -> Quantities:
-    """Return the total force, and in a plane the torque, from parts (..., n_parts, 3) of loads.
+    """Return the force, and in a plane the torque, from loads (..., 3).
 
     Loads are force and torque in a plane, and the three components of the force in space.
     """
-    total = loads.sum(axis=-2)
-    plane = {"force": total[..., :TORQUE], "torque": total[..., TORQUE]}
-    return plane if n_dim == 2 else {"force": total}
+    if n_dim > TORQUE:
+        return {"force": loads}
+    return {"force": loads[..., :TORQUE], "torque": loads[..., TORQUE]}
 
 
 @dataclass(frozen=True)

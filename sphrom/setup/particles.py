@@ -19,7 +19,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.elevation import Filled, Filling, columns_of, lowest_surface
-from sphrom.metrics.measures import FieldMeasure, FlowRate, Quantities
+from sphrom.metrics.measures import FLOW_RATES, FieldMeasure, Quantities
 from sphrom.metrics.quantities import is_vector
 from sphrom.metrics.series import kinetic_energy
 from sphrom.reduction.reference_space import ReferenceMap, TooFewParticlesError
@@ -220,7 +220,7 @@ class MeasuredFields:
         distance, normal = case.scene.domain.distance_and_normal(places)
         spacing = case.plan.particle_spacing
         at_rest, per_unit = case.plan.rest_and_units
-        flows = [np.full(len(m.position), isinstance(m, FlowRate)) for m in measures.values()]
+        flows = [np.full(len(m.position), isinstance(m, FLOW_RATES)) for m in measures.values()]
         near = self._near = np.flatnonzero((distance < spacing) & ~np.concatenate(flows))
         on_walls = places[near] - distance[near, None] * normal[near]
         beyond = on_walls - BEYOND * spacing * normal[near]
@@ -231,7 +231,7 @@ class MeasuredFields:
         varies |= case.scene.free_slip or case.scene.has_surface
         self._share = np.where(varies, 0.0, 1.0 - distance[near] / spacing)[:, None]
         self.position = np.concatenate((places, on_walls))
-        """(n_positions, 2) [m], the positions at which fields are needed."""
+        """(n_positions, n_dim) [m], the positions at which fields are needed."""
         self._sample = sampler(case, self.position)
 
     @classmethod
@@ -243,7 +243,7 @@ class MeasuredFields:
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> dict[str, Quantities]:
-        """Return the measurements of particles (n_particles[, 2]), by name.
+        """Return the measurements of particles (n_particles[, n_dim]), by name.
 
         Above a free surface, pressure and velocity are zero.
 
@@ -258,7 +258,7 @@ class MeasuredFields:
             raise UnstableError(f"{place}: {error}") from error
 
     def of_fields(self, density_fluctuation: Array, velocity: Array) -> dict[str, Quantities]:
-        """Return the measurements of fields (n_positions[, 2]) at `position`, by name."""
+        """Return the measurements of fields (n_positions[, n_dim]) at `position`, by name."""
         corrected = velocity.copy()
         pressure = pressure_of(density_fluctuation, self._sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
@@ -316,7 +316,7 @@ class MeasuredParticles:
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> dict[str, Quantities]:
-        """Return the measurements of particles (n_particles[, 2]), by name.
+        """Return the measurements of particles (n_particles[, n_dim]), by name.
 
         Raises UnstableError as `MeasuredFields` does.
         """

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Mask
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -75,7 +75,7 @@ def _probes_in_space(case: Case, x: float) -> Probes:
     sides = np.array([top - bottom, right - left])
     n_rows, n_columns = np.round(case.compare.grid * sides / edges.max()).astype(int).tolist()
     pictured = slices.places(grid_points((left, bottom), (right, top), (n_rows, n_columns)))
-    in_fluid = np.isfinite(pictured).all(axis=1)
+    in_fluid: Mask = np.isfinite(pictured[:, 0])
     return Probes(
         line=line,
         grid=grid_points(domain.lower, domain.upper, shape.tolist()),

@@ -11,7 +11,7 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
-from sphrom.metrics.measures import TORQUE, FieldMeasure, Quantities, with_coefficients
+from sphrom.metrics.measures import FieldMeasure, Quantities, of_loads, with_coefficients
 from sphrom.metrics.quantities import MEASURABLE
 from sphrom.sph.fluid import pressure_of
 
@@ -27,17 +27,21 @@ PARTS = ("pressure", "viscous")
 """The parts of a force."""
 
 
-def force_datasets(name: str, loads: Array) -> dict[str, Array]:
-    """Return the forces and torques (..., 2, 3) [N/m, N] of a measurement, by dataset."""
-    forces = {f"force/{name}/{p}": loads[..., i, :TORQUE] for i, p in enumerate(PARTS)}
-    torques = {f"force/{name}/{p}_torque": loads[..., i, TORQUE] for i, p in enumerate(PARTS)}
-    return forces | torques
+def force_datasets(name: str, loads: Array, n_dim: int = 2) -> dict[str, Array]:
+    """Return the loads (..., 2, 3) of a measurement, as in `of_loads`, by dataset."""
+    parts = [of_loads(loads[..., i, :], n_dim) for i in range(len(PARTS))]
+    forces = {f"force/{name}/{p}": each["force"] for p, each in zip(PARTS, parts, strict=True)}
+    if n_dim == 2:
+        forces |= {
+            f"force/{name}/{p}_torque": each["torque"] for p, each in zip(PARTS, parts, strict=True)
+        }
+    return forces
 
 
 def read_forces(artifact: Artifact, name: str) -> Array:
-    """Return the pressure and the viscous force with torque (n_snapshots, 2, 3) [N/m, N]."""
-    paths = [f"force/{name}/{p}" for p in PARTS]
-    parts = [np.column_stack((artifact.read(p), artifact.read(f"{p}_torque"))) for p in paths]
+    """Return the pressure and the viscous loads (n_snapshots, 2, 3), as in `of_loads`."""
+    read = [[f"force/{name}/{p}", f"force/{name}/{p}_torque"] for p in PARTS]
+    parts = [np.column_stack([artifact.read(p) for p in paths if p in artifact]) for paths in read]
     return np.stack(parts, axis=1)
 
 
@@ -60,15 +64,15 @@ def write_positions(artifact: ArtifactWriter, measures: Mapping[str, FieldMeasur
 def read_quantities(artifact: Artifact, name: str) -> Quantities:
     """Return the recorded values of a measurement, by quantity (n_snapshots, ...)."""
     if f"force/{name}/pressure" in artifact:
-        return totals(read_forces(artifact, name))
+        in_plane = f"force/{name}/pressure_torque" in artifact
+        return totals(read_forces(artifact, name), 2 if in_plane else 3)
     paths = {quantity: f"measure/{name}/{quantity}" for quantity in MEASURABLE}
     return {quantity: artifact.read(p) for quantity, p in paths.items() if p in artifact}
 
 
-def totals(loads: Array) -> Quantities:
+def totals(loads: Array, n_dim: int) -> Quantities:
     """Return total force and torque, by quantity, from the parts of loads (..., 2, 3)."""
-    total = loads.sum(axis=-2)
-    return {"force": total[..., :TORQUE], "torque": total[..., TORQUE]}
+    return of_loads(loads.sum(axis=-2), n_dim)
 
 
 def measured_of(case: Case, artifact: Artifact) -> dict[str, Quantities]:
