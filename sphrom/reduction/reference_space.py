@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sphrom.arrays import Array
-from sphrom.kernels import SUPPORT_RATIO, interpolation
+from sphrom.kernels import SUPPORT_RATIO, interpolation, space_fits
 from sphrom.metrics.elevation import HALF, Filled
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
@@ -38,9 +38,10 @@ class TooFewParticlesError(ValueError):
     """The particles around a point do not determine an interpolation."""
 
     def __init__(self, number: int, place: Array, reach: float) -> None:
+        at = ", ".join(f"{x:.4g}" for x in place)
         super().__init__(
             f"too few particles, or all on one curve, within {reach:.3g} m of the point "
-            f"({place[0]:.4g}, {place[1]:.4g}) to interpolate there"
+            f"({at}) to interpolate there"
         )
         self.number = number
         """Index of the point."""
@@ -51,7 +52,7 @@ class ReferenceMap:
 
     Parameters
     ----------
-    points : (n_points, 2), the points to interpolate to [m].
+    points : (n_points, n_dim), the points to interpolate to [m].
     smoothing_length : of the kernel that weights particles [m].
     method : "shepard" or "mls" (moving least squares of second order).
     filled : the share of space that fluid with a free surface fills at the points; fields are zero
@@ -78,29 +79,33 @@ class ReferenceMap:
         if filled is None:
             away = domain.wall_distance(self._points.T) / self._reach
             self._linear = np.maximum(0.0, 1.0 - away)
-        self._scratch = np.zeros((interpolation.N_CHUNKS, 90))
+        self._n_dim = points.shape[1]
+        rows = (90,) if self._n_dim == 2 else (space_fits.N_ROWS, space_fits.WIDTH)
+        self._scratch = np.zeros((interpolation.N_CHUNKS, *rows))
 
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> tuple[Array, Array]:
-        """Map one snapshot: densities (n_points,) and velocities (n_points, 2).
+        """Map one snapshot: densities (n_points,) and velocities (n_points, n_dim).
 
         Raises TooFewParticlesError if those near a point are too few or determine no polynomial.
         """
         reach = self._reach
+        n_dim = self._n_dim
         sources = sort_sources(position.T, self.domain, reach, self.particle_spacing)
-        source = np.empty((5, sources.particle.size))
-        source[:2] = position.T[:, sources.particle] + sources.image
-        source[2] = density_fluctuation[sources.particle]
-        source[3:] = velocity.T[:, sources.particle]
-        out = np.empty((3, self._points.shape[1]))
+        source = np.empty((2 * n_dim + 1, sources.particle.size))
+        source[:n_dim] = position.T[:, sources.particle] + sources.image
+        source[n_dim] = density_fluctuation[sources.particle]
+        source[n_dim + 1 :] = velocity.T[:, sources.particle]
+        out = np.empty((n_dim + 1, self._points.shape[1]))
         search = sources.search(reach, self.smoothing_length)
-        if self.method == "mls":
-            interpolation.moving_least_squares(
+        if self.method == "shepard":
+            interpolation.shepard(self._points, source, search, out)
+        else:
+            fits = interpolation if n_dim == 2 else space_fits
+            fits.moving_least_squares(
                 self._points, self._linear, source, search, self._scratch, out
             )
-        else:
-            interpolation.shepard(self._points, source, search, out)
         if self._filled is not None:
             share = self._filled(position, density_fluctuation)
             edge = np.flatnonzero((share >= HALF) & (share < FULL))
