@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numba import prange
 
 from sphrom.arrays import Array, Indices
@@ -31,12 +32,25 @@ N_ROWS = 2 * N_TERMS + 2
 class SpaceCells(NamedTuple):
     """Sources sorted by cell, in layers of rows of cells."""
 
-    origin: tuple[float, float, float]
-    size: tuple[float, float, float]
-    """Of a cell [m]."""
-    shape: tuple[int, int, int]
+    origin: Array
+    """(3,) [m]."""
+    shape: Indices
+    """(3,) numbers of cells."""
+    size: float
+    """Edge of a cell [m]."""
     start: Indices
     """(n_cells + 1,) the first source of each cell."""
+
+
+def sort_by_cell(place: Array, size: float) -> tuple[Indices, SpaceCells]:
+    """Return the order of sources at (3, n_sources) [m] by cell, and the cells of a size [m]."""
+    origin = place.min(axis=1)
+    cell = ((place - origin[:, None]) / size).astype(np.int64)
+    shape = cell.max(axis=1) + 1
+    number = (cell[2] * shape[1] + cell[1]) * shape[0] + cell[0]
+    start = np.concatenate(([0], np.cumsum(np.bincount(number, minlength=int(shape.prod())))))
+    cells = SpaceCells(origin, shape, size, start)
+    return np.argsort(number, kind="stable"), cells
 
 
 @term
@@ -148,9 +162,9 @@ def moving_least_squares(
         for i in range(chunk * n_points // N_CHUNKS, (chunk + 1) * n_points // N_CHUNKS):
             place = (points[0, i], points[1, i], points[2, i])
             sums[:] = 0.0
-            west, east = _span(place[0], reach, cells.origin[0], cells.size[0], cells.shape[0])
-            south, north = _span(place[1], reach, cells.origin[1], cells.size[1], cells.shape[1])
-            back, front = _span(place[2], reach, cells.origin[2], cells.size[2], cells.shape[2])
+            west, east = _span(place[0], reach, cells.origin[0], cells.size, cells.shape[0])
+            south, north = _span(place[1], reach, cells.origin[1], cells.size, cells.shape[1])
+            back, front = _span(place[2], reach, cells.origin[2], cells.size, cells.shape[2])
             for layer in range(back, front):
                 for row in range(south, north):
                     base = (layer * cells.shape[1] + row) * cells.shape[0]

@@ -27,7 +27,7 @@ from sphrom.arrays import Array
 from sphrom.kernels import SUPPORT_RATIO, interpolation, space_fits
 from sphrom.metrics.elevation import HALF, Filled
 from sphrom.sph.domain import Domain
-from sphrom.sph.neighbourhood import sort_sources
+from sphrom.sph.neighbourhood import periodic_images, sort_sources
 
 FULL, N_NEAR = 0.95, 6
 """Where less than this share is filled, within 1.7 spacings of a free surface, values are limited
@@ -92,20 +92,27 @@ class ReferenceMap:
         """
         reach = self._reach
         n_dim = self._n_dim
-        sources = sort_sources(position.T, self.domain, reach, self.particle_spacing)
-        source = np.empty((2 * n_dim + 1, sources.particle.size))
-        source[:n_dim] = position.T[:, sources.particle] + sources.image
-        source[n_dim] = density_fluctuation[sources.particle]
-        source[n_dim + 1 :] = velocity.T[:, sources.particle]
+        fields = np.stack((density_fluctuation, *velocity.T))
         out = np.empty((n_dim + 1, self._points.shape[1]))
+        if n_dim == 3:
+            particle, image = periodic_images(position.T, self.domain, reach)
+            place = position.T[:, particle] + image
+            order, cells = space_fits.sort_by_cell(place, 0.5 * self.smoothing_length)
+            source = np.concatenate((place[:, order], fields[:, particle[order]]))
+            space_fits.moving_least_squares(
+                self._points, self._linear, source, cells, reach, self._scratch, out
+            )
+            return self._checked(out)
+        sources = sort_sources(position.T, self.domain, reach, self.particle_spacing)
+        place = position.T[:, sources.particle] + sources.image
+        source = np.concatenate((place, fields[:, sources.particle]))
         search = sources.search(reach, self.smoothing_length)
-        if self.method == "shepard":
-            interpolation.shepard(self._points, source, search, out)
-        else:
-            fits = interpolation if n_dim == 2 else space_fits
-            fits.moving_least_squares(
+        if self.method == "mls":
+            interpolation.moving_least_squares(
                 self._points, self._linear, source, search, self._scratch, out
             )
+        else:
+            interpolation.shepard(self._points, source, search, out)
         if self._filled is not None:
             share = self._filled(position, density_fluctuation)
             edge = np.flatnonzero((share >= HALF) & (share < FULL))
@@ -118,7 +125,11 @@ class ReferenceMap:
             high[0] = np.maximum(high[0], 0.0)
             out[:, edge] = np.clip(out[:, edge], low, high)
             out[:, (share < HALF) | ~np.isfinite(out).all(axis=0)] = 0.0
+        return self._checked(out)
+
+    def _checked(self, out: Array) -> tuple[Array, Array]:
+        """Return mapped fields (1 + n_dim, n_points) as density and velocity, if all are finite."""
         if not np.isfinite(out).all():
             number = int(np.flatnonzero(~np.isfinite(out).all(axis=0))[0])
-            raise TooFewParticlesError(number, self._points[:, number], reach)
+            raise TooFewParticlesError(number, self._points[:, number], self._reach)
         return out[0], np.ascontiguousarray(out[1:].T)

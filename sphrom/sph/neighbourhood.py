@@ -157,7 +157,7 @@ def _require_near(position: Array, domain: Domain, margin: float) -> None:
 
 
 def periodic_images(position: Array, domain: Domain, margin: float) -> tuple[Indices, Array]:
-    """Return the particle (n_sources,) and the translation (2, n_sources) [m] of each source.
+    """Return the particle (n_sources,) and the translation (n_dim, n_sources) [m] of each source.
 
     The first sources are the particles themselves, moved into the box; then follow their images
     within the margin [m] around it.
@@ -176,7 +176,7 @@ def periodic_images(position: Array, domain: Domain, margin: float) -> tuple[Ind
             near = np.flatnonzero(
                 (moved >= domain.lower[axis] - margin) & (moved < domain.upper[axis] + margin)
             )
-            step = np.zeros((2, near.size))
+            step = np.zeros((len(position), near.size))
             step[axis] = copy * length
             particles.append(particle[near])
             images.append(image[:, near] + step)
