@@ -74,6 +74,18 @@ class Slices:
             right, top = (self._starts + self.upper[2] - self.lower[2]).tolist()
         return self.lower[0], right, self.lower[1], top
 
+    @property
+    def rectangles(self) -> list[list[float]]:
+        """The left, right, lower and upper edge of each slice in space [m]."""
+        (left, bottom), (right, top) = self.lower[:2], self.upper[:2]
+        x, y = self._starts.tolist()
+        _, right_end, _, top_end = self.extent
+        return [
+            [left, right, bottom, top],
+            [x, right_end, bottom, top],
+            [left, right, y, top_end],
+        ]
+
     def places(self, shown: Array) -> Array:
         """Return the points (n_points, n_dim) of places (n_points, 2) in the picture [m].
 

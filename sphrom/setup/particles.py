@@ -292,9 +292,11 @@ class MeasuredParticles:
             self._rest = float(scene.fill(spacing, values)[:, 1].mean())
         surface = self._surface.values()
         self._x = [m.elevation for m in surface if isinstance(m, ElevationMeasure)]
-        columns = columns_of(np.array(self._x), self._heights)
-        self._filled = filled(case, columns) if self._x else None
-        self._solid = ~scene.domain.contains(columns)
+        self._filled = None
+        if self._x:
+            columns = columns_of(np.array(self._x), self._heights)
+            self._filled = filled(case, columns)
+            self._solid = ~scene.domain.contains(columns)
 
     @classmethod
     def of(cls, case: Case, point: ParameterPoint) -> MeasuredParticles | None:

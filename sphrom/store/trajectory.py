@@ -92,6 +92,7 @@ class TrajectoryWriter:
         sound_speed: float,
         n_modes: int | None = None,
         *,
+        n_dim: int = 2,
         separate_mean: bool = False,
         walls: Walls | None = None,
         forces: WallForces | None = None,
@@ -106,8 +107,8 @@ class TrajectoryWriter:
         shapes: dict[str, tuple[int, ...]] = {
             "time": (),
             "step": (),
-            "position": (n_particles, 2),
-            "velocity": (n_particles, 2),
+            "position": (n_particles, n_dim),
+            "velocity": (n_particles, n_dim),
             "density_fluctuation": (n_particles,),
             "pressure": (n_particles,),
         }
@@ -117,7 +118,7 @@ class TrajectoryWriter:
             shapes["mean_density_fluctuation"] = ()
         at_rest: dict[str, Array] = {}
         for wall in () if forces is None else forces.walls:
-            at_rest |= force_datasets(wall, np.zeros((2, 3)))
+            at_rest |= force_datasets(wall, np.zeros((2, 3)), n_dim)
         if fields is not None:
             write_positions(artifact, fields.measures)
             at_rest |= field_datasets(fields.at_rest)
@@ -147,7 +148,7 @@ class TrajectoryWriter:
         if self._forces is not None:
             state = np.vstack((snapshot.position, snapshot.density_fluctuation, snapshot.velocity))
             for name, loads in self._forces(state, time).items():
-                values |= force_datasets(name, loads)
+                values |= force_datasets(name, loads, len(snapshot.position))
         if self._fields is not None:
             try:
                 values |= field_datasets(
@@ -202,7 +203,7 @@ def require_complete(trajectory: Artifact) -> None:
 
 
 def snapshot_fields(trajectory: Artifact, snapshot: int) -> tuple[Array, Array, Array]:
-    """Return position (N, 2), density fluctuation (N,) and velocity (N, 2) of one snapshot."""
+    """Return position (N, n_dim), density fluctuation (N,) and velocity of one snapshot."""
     names = ("position", "density_fluctuation", "velocity")
     position, density, velocity = (np.asarray(trajectory.dataset(n)[snapshot]) for n in names)
     return position, density, velocity

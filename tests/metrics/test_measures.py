@@ -97,6 +97,7 @@ def test_vectors_in_space_have_three_components_and_units_of_space() -> None:
     assert (columns["lid_force_z"].units, columns["lid_flow_rate"].units) == ("N", "m3/s")
     sizes = variations("force", np.stack((TIME, 0.5 * TIME, 2.0 + TIME), axis=1))
     assert [*sizes] == ["force", "force_x", "force_y", "force_z"]
-    loads = np.arange(6.0).reshape(2, 3)
-    np.testing.assert_array_equal(of_loads(loads, 3)["force"], [3.0, 5.0, 7.0])
+    loads = np.array([3.0, 5.0, 7.0])
+    assert [*of_loads(loads, 3)] == ["force"]
+    np.testing.assert_array_equal(of_loads(loads, 3)["force"], loads)
     assert of_loads(loads, 2)["torque"] == 7.0
