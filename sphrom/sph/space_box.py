@@ -1,4 +1,4 @@
-"""A box of three axes that fluid fills, periodic along some axes and with plane walls elsewhere."""
+"""A box of three axes that fluid fills: periodic along some axes, with plane walls at other ends."""
 
 from __future__ import annotations
 
@@ -6,54 +6,103 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from shapely.geometry.base import BaseGeometry
 
-from sphrom.arrays import Array, Mask
-from sphrom.sph.domain import Domain
+from sphrom.arrays import Array, Indices, Mask
+from sphrom.sph.domain import Domain, Walls, WallSearch
+
+SIDES = (("left", "right"), ("bottom", "top"), ("back", "front"))
+"""Names of the walls at the lower and upper ends of each axis."""
+NO_PLANE = "a box of three axes has no region in a plane"
 
 
 @dataclass(frozen=True)
 class SpaceBox(Domain):
-    """Stand-in until the branch with the full model is merged."""
+    """An axis-parallel box without solids; lengths in [m]."""
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     periodic: tuple[bool, ...]
 
-    fluid = fluid_with_images = wall_search = ghosts = nearest_wall = None  # type: ignore
+    @property
+    def lengths(self) -> tuple[float, ...]:  # type: ignore[override]
+        """The box's edges [m]."""
+        return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
 
     @property
-    def lengths(self):
-        return tuple(u - l for l, u in zip(self.lower, self.upper))
+    def volume(self) -> float:
+        """The volume of the fluid [m3]."""
+        return math.prod(self.lengths)
 
     @property
-    def solid_names(self):
+    def fluid(self) -> BaseGeometry:
+        raise NotImplementedError(NO_PLANE)
+
+    @property
+    def fluid_with_images(self) -> BaseGeometry:
+        raise NotImplementedError(NO_PLANE)
+
+    @property
+    def solid_names(self) -> tuple[str, ...]:
         return ()
 
     @property
-    def wall_names(self):
-        sides = (("left", "right"), ("bottom", "top"), ("back", "front"))
-        return tuple(n for s, p in zip(sides, self.periodic) if not p for n in s)
+    def wall_names(self) -> tuple[str, ...]:
+        sides = zip(SIDES, self.periodic, strict=True)
+        return tuple(name for names, periodic in sides if not periodic for name in names)
 
     def contains(self, position: Array) -> Mask:
-        p = self.wrap(position)
-        return np.all((p >= self.lower) & (p <= self.upper), axis=1)
+        wrapped = self.wrap(position)
+        return np.all((wrapped >= self.lower) & (wrapped <= self.upper), axis=1)
 
-    def distance_and_normal(self, position):
-        p = self.wrap(position)
-        d = np.full(len(p), np.inf)
-        n = np.zeros_like(p)
-        for a, per in enumerate(self.periodic):
-            if per:
-                continue
-            for s, w in ((1, self.lower[a]), (-1, self.upper[a])):
-                x = s * (p[:, a] - w)
-                near = x < d
-                d[near] = x[near]
-                n[near] = 0
-                n[near, a] = s
-        return d, n
+    def distance_and_normal(self, position: Array) -> tuple[Array, Array]:
+        wrapped = self.wrap(position)
+        distance = np.full(len(wrapped), np.inf)
+        normal = np.zeros_like(wrapped)
+        for axis in np.flatnonzero(~np.array(self.periodic)):
+            for way, wall in ((1.0, self.lower[axis]), (-1.0, self.upper[axis])):
+                inwards = way * (wrapped[:, axis] - wall)
+                nearer = inwards < distance
+                distance[nearer] = inwards[nearer]
+                normal[nearer] = 0.0
+                normal[nearer, axis] = way
+        return distance, normal
 
-    def fill(self, spacing):
-        axes = [lo + (np.arange(k := round(L / spacing)) + 0.5) * L / k for lo, L in zip(self.lower, self.lengths)]
-        g = np.meshgrid(*axes[::-1], indexing="ij")
-        return np.stack(g[::-1], -1).reshape(-1, 3)
+    def nearest_wall(self, position: Array) -> Indices:
+        _, normal = self.distance_and_normal(position)
+        wall = np.zeros(len(position), dtype=np.int64)
+        for axis in np.flatnonzero(~np.array(self.periodic)):
+            low, high = (self.wall_names.index(name) for name in SIDES[axis])
+            wall[normal[:, axis] > 0.0] = low
+            wall[normal[:, axis] < 0.0] = high
+        return wall
+
+    def wall_search(self, particle_spacing: float) -> WallSearch:
+        raise NotImplementedError("walls of a box of three axes reflect particles")
+
+    def counts(self, particle_spacing: float) -> tuple[int, ...]:
+        """Return the number of particles along each axis."""
+        return tuple(max(1, round(length / particle_spacing)) for length in self.lengths)
+
+    def fill(self, particle_spacing: float) -> Array:
+        return self._lattice(particle_spacing, 0)
+
+    def n_particles(self, particle_spacing: float) -> int:
+        return math.prod(self.counts(particle_spacing))
+
+    def ghosts(self, particle_spacing: float, n_layers: int) -> Walls:
+        position = self._lattice(particle_spacing, n_layers)
+        place = position[~self.contains(position)]
+        normal = (place < self.lower) | (place > self.upper)
+        wall = self.nearest_wall(place)
+        return Walls(place, np.zeros_like(place), wall, normal.astype(np.float64))
+
+    def _lattice(self, particle_spacing: float, n_layers: int) -> Array:
+        """Return cell centres (n_points, 3), x fastest, then y, with some layers beyond walls."""
+        axes = []
+        for axis, count in enumerate(self.counts(particle_spacing)):
+            extra = 0 if self.periodic[axis] else n_layers
+            pitch = self.lengths[axis] / count
+            axes.append(self.lower[axis] + pitch * (np.arange(-extra, count + extra) + 0.5))
+        layers, rows, columns = np.meshgrid(*axes[::-1], indexing="ij")
+        return np.stack((columns.ravel(), rows.ravel(), layers.ravel()), axis=1)
