@@ -17,6 +17,7 @@ from sphrom.case.fields import LARGEST
 from sphrom.case.plan_points import PointsPlan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
+from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.grids import grid_points
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
@@ -69,6 +70,12 @@ class FlowsPlan(PointsPlan):
     def smoothing_length(self) -> float:
         """h [m]."""
         return self._case.discretization.smoothing_length_ratio * self.particle_spacing
+
+    @property
+    def n_neighbours(self) -> float:
+        """Average number of particles in a kernel's support."""
+        radius = SUPPORT_RATIO * self.smoothing_length / self.particle_spacing
+        return math.pi * radius**2 * (1.0 if self._scene.domain.n_dim == 2 else 4.0 / 3.0 * radius)
 
     @cached_property
     def reference_smoothing_length(self) -> float:
