@@ -269,6 +269,13 @@ def with_defaults(values: Any, defaults: Defaults) -> Any:
     return merged
 
 
+def is_in_space(scene: Any) -> bool:
+    """Return whether a scene's plain values have a box of three axes."""
+    box = scene.get("box") if isinstance(scene, Mapping) else None
+    lower = box.get("lower") if isinstance(box, Mapping) else None
+    return isinstance(lower, list | tuple) and len(lower) == 3
+
+
 def kind_of(case: Any) -> str:
     """Return the kind of scene in a case's plain values, or an empty text."""
     scene = case.get("scene") if isinstance(case, Mapping) else None

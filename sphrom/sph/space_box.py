@@ -10,10 +10,8 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.box_domain import MOST_UNEVEN
-from sphrom.sph.domain import Domain, Walls, WallSearch
+from sphrom.sph.domain import SIDES, Domain, Walls, WallSearch
 
-SIDES = (("left", "right"), ("bottom", "top"), ("back", "front"))
-"""Names of the walls at the lower and upper ends of each axis."""
 NO_PLANE = "a box of three axes has no region in a plane"
 
 
@@ -50,11 +48,6 @@ class SpaceBox(Domain):
     @property
     def solid_names(self) -> tuple[str, ...]:
         return ()
-
-    @property
-    def wall_names(self) -> tuple[str, ...]:
-        sides = zip(SIDES, self.periodic, strict=True)
-        return tuple(name for names, periodic in sides if not periodic for name in names)
 
     def contains(self, position: Array) -> Mask:
         wrapped = self.wrap(position)
