@@ -1,4 +1,4 @@
-"""A box of three axes that fluid fills: periodic along some axes, with plane walls at other ends."""
+"""A box of three axes that fluid fills, with plane walls at the ends of some of them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
-from sphrom.sph.domain import Domain, Walls, WallSearch
+from sphrom.sph.domain import SIDES, Domain, Walls, WallSearch
 
-SIDES = (("left", "right"), ("bottom", "top"), ("back", "front"))
-"""Names of the walls at the lower and upper ends of each axis."""
 NO_PLANE = "a box of three axes has no region in a plane"
 
 
@@ -23,11 +21,6 @@ class SpaceBox(Domain):
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     periodic: tuple[bool, ...]
-
-    @property
-    def lengths(self) -> tuple[float, ...]:  # type: ignore[override]
-        """The box's edges [m]."""
-        return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
 
     @property
     def volume(self) -> float:
@@ -45,11 +38,6 @@ class SpaceBox(Domain):
     @property
     def solid_names(self) -> tuple[str, ...]:
         return ()
-
-    @property
-    def wall_names(self) -> tuple[str, ...]:
-        sides = zip(SIDES, self.periodic, strict=True)
-        return tuple(name for names, periodic in sides if not periodic for name in names)
 
     def contains(self, position: Array) -> Mask:
         wrapped = self.wrap(position)
