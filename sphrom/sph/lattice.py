@@ -34,7 +34,7 @@ def lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, ...], Ind
     number = nearest @ np.cumprod((1, *shape[:-1]))
     is_near = np.abs(cells - nearest) < LATTICE_TOLERANCE
     if not (is_near.all() and np.array_equal(np.sort(number), np.arange(shape.prod()))):
-        raise NotOnLatticeError("a lattice is needed, and these points are not on one")
+        raise NotOnLatticeError("points on a lattice are needed, and these are not on one")
     return tuple(shape.tolist()), np.argsort(number)
 
 
