@@ -1,4 +1,4 @@
-"""A box of three axes that fluid fills: periodic along some axes, with plane walls at other ends."""
+"""A box of three axes that fluid fills, with plane walls at the ends of some of them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,6 @@ class SpaceBox(Domain):
     periodic: tuple[bool, ...]
 
     @property
-    def lengths(self) -> tuple[float, ...]:  # type: ignore[override]
-        """The box's edges [m]."""
-        return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
-
-    @property
     def volume(self) -> float:
         """The volume of the fluid [m3]."""
         return math.prod(self.lengths)
@@ -44,10 +39,6 @@ class SpaceBox(Domain):
     @property
     def separate_areas(self) -> list[float]:
         return [self.volume]
-
-    @property
-    def solid_names(self) -> tuple[str, ...]:
-        return ()
 
     def contains(self, position: Array) -> Mask:
         wrapped = self.wrap(position)
