@@ -40,6 +40,10 @@ class SpaceBox(Domain):
     def separate_areas(self) -> list[float]:
         return [self.volume]
 
+    @property
+    def solid_names(self) -> tuple[str, ...]:
+        return ()
+
     def contains(self, position: Array) -> Mask:
         wrapped = self.wrap(position)
         return np.all((wrapped >= self.lower) & (wrapped <= self.upper), axis=1)
