@@ -1,4 +1,4 @@
-"""A box of three axes that fluid fills, with plane walls at the ends of some of them."""
+"""A box of three axes that fluid fills: periodic along some axes, with plane walls at other ends."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
+from sphrom.sph.box_domain import MOST_UNEVEN
 from sphrom.sph.domain import SIDES, Domain, Walls, WallSearch
 
 NO_PLANE = "a box of three axes has no region in a plane"
@@ -34,6 +35,10 @@ class SpaceBox(Domain):
     @property
     def fluid_with_images(self) -> BaseGeometry:
         raise NotImplementedError(NO_PLANE)
+
+    @property
+    def separate_areas(self) -> list[float]:
+        return [self.volume]
 
     @property
     def solid_names(self) -> tuple[str, ...]:
@@ -64,6 +69,19 @@ class SpaceBox(Domain):
             wall[normal[:, axis] > 0.0] = low
             wall[normal[:, axis] < 0.0] = high
         return wall
+
+    def sections(self, x: float) -> list[tuple[float, float]]:
+        return [(self.lower[1], self.upper[1])] if self.lower[0] <= x <= self.upper[0] else []
+
+    def fits_lattice(self, particle_spacing: float) -> bool:
+        pitches = self.pitches(particle_spacing)
+        return float(np.ptp(pitches)) <= MOST_UNEVEN * particle_spacing
+
+    def lattice_spacing(self, particle_spacing: float) -> float:
+        return float((self.volume / self.n_particles(particle_spacing)) ** (1.0 / 3.0))
+
+    def pitches(self, particle_spacing: float) -> tuple[float, ...]:  # type: ignore[override]
+        return tuple(n / count for n, count in zip(self.lengths, self.counts(particle_spacing)))
 
     def wall_search(self, particle_spacing: float) -> WallSearch:
         raise NotImplementedError("walls of a box of three axes reflect particles")
