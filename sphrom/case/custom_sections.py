@@ -42,15 +42,16 @@ def _without_tables(value: Any) -> Any:
     """Refuse mappings, which are meant as tables."""
     if any(isinstance(part, Mapping) for part in (value if isinstance(value, list) else [value])):
         raise ValueError(
-            "must be a list of 2 numbers or expressions; for a table, set scene.histories to "
+            "must be a list of numbers or expressions; for a table, set scene.histories to "
             "{sway: {file: sway.csv}}, and write sway(t) in an expression"
         )
     return value
 
 
 Vector = Annotated[
-    tuple[Value, ...], Field(min_length=2, max_length=2), BeforeValidator(_without_tables)
+    tuple[Value, ...], Field(min_length=2, max_length=3), BeforeValidator(_without_tables)
 ]
+"""A component along each axis of the box."""
 
 
 class PorousSection(ShapeSection):

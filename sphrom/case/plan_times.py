@@ -50,6 +50,8 @@ class TimesPlan(FlowsPlan):
     def _sharpest_corner(self) -> float:
         """The sharpness of the sharpest corner that points into the fluid, 0 without corners."""
         domain = self._scene.domain
+        if domain.fills_box:
+            return 0.0
         sharpness = jutting_corners(domain.fluid_with_images, self.particle_spacing)[1]
         return float(sharpness.max(initial=0.0))
 

@@ -36,6 +36,11 @@ OF_WALLS: Defaults = {
     "compare": {"exact": False},
 }
 """Defaults of other sections for scenes with walls."""
+IN_SPACE: Defaults = {
+    "discretization": {"smoothing_length_ratio": 2.0, "resolution": 32},
+    "reference": {"points": "lattice"},
+}
+"""Defaults of other sections for scenes in three dimensions."""
 
 
 class SceneSection(Section):

@@ -23,7 +23,6 @@ from sphrom.kernels import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
 from sphrom.reduction.decomposition import (
     BYTES,
-    N_FIELD_VALUES,
     decomposition_bytes,
     smallest_block,
 )
@@ -71,20 +70,21 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     plan = case.plan
     at = case.plan.points if points is None else points
     number = plan.n_particles
+    n_dim = case.scene.domain.n_dim
     n_snapshots = plan.steps.n_snapshots
     run = STATE_ARRAYS * (number + plan.n_ghosts)
-    trajectory = n_snapshots * (6 * number + 3) + 4 * plan.n_ghosts
-    spin_up = 5 * number if plan.steps.n_spin_up_steps else 0
+    trajectory = n_snapshots * (2 * (n_dim + 1) * number + 3) + 4 * plan.n_ghosts
+    spin_up = (2 * n_dim + 1) * number if plan.steps.n_spin_up_steps else 0
     # Snapshots wait for a checkpoint, which stores them once more, with two states.
-    passing = BYTES * (trajectory + 14 * number)
+    passing = BYTES * (trajectory + (4 + 5 * n_dim) * number)
     waiting = min(MOST_PENDING / BYTES, trajectory)
-    written = BYTES * (2 * number + (trajectory + spin_up) * len(at))
+    written = BYTES * (n_dim * number + (trajectory + spin_up) * len(at))
     files = "packing.h5", "spin-up-*.h5", "fom-*.h5"
     found = {"fom": Need(_ram(run + waiting), written, files, passing)}
     if not case.rom:
         return found
-    found["map"] = Need(BASELINE, BYTES * number * (3 * n_snapshots + 2) * len(at), ("map-*.h5",))
-    modes = sum(plan.basis_size(name) for name in plan.bases) * N_FIELD_VALUES * number
+    found["map"] = Need(BASELINE, BYTES * number * ((1 + n_dim) * n_snapshots + n_dim) * len(at), ("map-*.h5",))
+    modes = sum(plan.basis_size(name) for name in plan.bases) * (1 + n_dim) * number
     kept = modes * (1 + case.basis.lagrangian)
     n_learnt = len(plan.train_points) * n_snapshots
     least = decomposition_bytes(n_learnt, smallest_block(n_learnt))
@@ -97,7 +97,7 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     written = 0
     for model in case.rom:
         per_run = 0 if model.from_operators else trajectory
-        per_run += number * (4 * n_snapshots + 2) * (model.output == "snapshots")
+        per_run += number * ((2 + n_dim) * n_snapshots + n_dim) * (model.output == "snapshots")
         written += BYTES * per_run * sum(p in at for p in plan.rom_points(model))
     slow = any(not model.from_operators for model in case.rom)
     found["rom"] = Need(_ram(run * slow), written, ("rom-*.h5",), passing * slow)
@@ -113,7 +113,9 @@ def _operators(case: Case) -> float:
     plan = case.plan
     most = max(plan.basis_size(name) for name in plan.reference_bases)
     copies = MODE_COPIES + PRESSURE_COPIES + (1 if plan.lattice_splines else SPLINE_COPIES)
-    sparse = SPARSE_NUMBERS * plan.discretization.n_neighbours * plan.n_particles
+    sparse = SPARSE_NUMBERS * plan.n_neighbours * plan.n_particles
+    if (n_dim := case.scene.domain.n_dim) > 2:  # all points have one stencil
+        sparse = 0.0
     tensors = [n**4 for _, n in plan.memory_models]
     for name in filter(plan.has_error_estimate, plan.reference_bases):
         linear = 1 + plan.basis_size(name)
@@ -121,7 +123,7 @@ def _operators(case: Case) -> float:
         driven += plan.flow(plan.points[0]).body_force is not None
         tensors.append((linear * (linear + 1) + driven * linear) ** 2)
     largest = TENSOR_COPIES * max(tensors, default=0)
-    return copies * N_FIELD_VALUES * most * plan.n_particles + sparse + BLOCK + largest
+    return copies * (1 + n_dim) * most * plan.n_particles + sparse + BLOCK + largest
 
 
 def decomposition_ram_limit() -> int:
@@ -144,7 +146,7 @@ def runs_that_fit(case: Case, stage: str) -> int:
 def full_seconds(case: Case, n_runs: int) -> float:
     """Return the approximate time of full runs on one core [s]."""
     steps = case.plan.steps
-    neighbours = case.plan.n_particles * case.plan.discretization.n_neighbours
+    neighbours = case.plan.n_particles * case.plan.n_neighbours
     return SECONDS_PER_NEIGHBOUR * neighbours * (steps.n_steps + steps.n_spin_up_steps) * n_runs
 
 
@@ -235,14 +237,14 @@ def described_run(case: Case, point: ParameterPoint) -> str:
         thin = f"; no particles resolve layers of L / sqrt(Re) = {layer:.2g} m at walls"
     return (
         f"{point.label}: {plan.n_particles} particles{ghosts}, "
-        f"{plan.discretization.n_neighbours:.0f} neighbours each, c0 = {fluid.sound_speed:g} m/s, "
+        f"{plan.n_neighbours:.0f} neighbours each, c0 = {fluid.sound_speed:g} m/s, "
         f"nu = {fluid.kinematic_viscosity:.4g} m2/s; {counted(plan.steps.n_steps, 'step')} of "
         f"{step:.4g} s{before}, {of_limits}; {counted(plan.steps.n_snapshots, 'snapshot')}{thin}"
     )
 
 
 def _describe_shape(case: Case, report: Reporter) -> None:
-    """Print the area of the fluid, and the width of its narrowest places in support radii."""
+    """Print the area or the volume of the fluid, and the width of its narrowest places in support radii."""
     domain = case.scene.domain
     plan = case.plan
     support = SUPPORT_RATIO * plan.smoothing_length
@@ -255,11 +257,13 @@ def _describe_shape(case: Case, report: Reporter) -> None:
         for name, width in widths.items()
         if math.isfinite(width)
     ]
-    filled = plan.n_particles * plan.particle_spacing**2
-    area = filled if case.scene.has_surface else domain.area
-    x, y = domain.pitches(plan.particle_spacing)
-    uneven = [f"particles {x:.4g} m apart along x and {y:.4g} m along y fit its sides"] * (x != y)
-    report.info("; ".join((f"the fluid's area is {area:.4g} m2", *uneven, *described)))
+    filled = plan.n_particles * plan.particle_spacing**domain.n_dim
+    size = filled if case.scene.has_surface or domain.n_dim > 2 else domain.area
+    quantity = f"area is {size:.4g} m2" if domain.n_dim == 2 else f"volume is {size:.4g} m3"
+    pitches = domain.pitches(plan.particle_spacing)
+    apart = ", ".join(f"{pitch:.4g} m along {axis}" for axis, pitch in zip("xyz", pitches))
+    uneven = [f"particles {apart} apart fit its sides"] * (len(set(pitches)) > 1)
+    report.info("; ".join((f"the fluid's {quantity}", *uneven, *described)))
 
 
 def describe_cost(case: Case, report: Reporter) -> None:

@@ -24,7 +24,7 @@ FINEST = 5e-5
 """Size of the finest features that count in the measurement of widths, over that of the box."""
 WHOLE_TOLERANCE = 1e-6
 """Largest distance of a wall from the lattice, over the particle spacing."""
-SIDES = (("left", "right"), ("bottom", "top"))
+SIDES = (("left", "right"), ("bottom", "top"), ("back", "front"))
 """Names of the walls at the lower and upper ends of each axis."""
 
 
@@ -128,7 +128,7 @@ class Domain(ABC):
     @property
     def wall_names(self) -> tuple[str, ...]:
         """The name of each wall: sides of the box that are not periodic, then solids."""
-        sides = (names for names, p in zip(SIDES, self.periodic, strict=True) if not p)
+        sides = (names for names, p in zip(SIDES, self.periodic, strict=False) if not p)
         return (*(name for names in sides for name in names), *self.solid_names)
 
     @property

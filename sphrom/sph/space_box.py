@@ -9,10 +9,9 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
-from sphrom.sph.domain import Domain, Walls, WallSearch
+from sphrom.sph.box_domain import MOST_UNEVEN
+from sphrom.sph.domain import SIDES, Domain, Walls, WallSearch
 
-SIDES = (("left", "right"), ("bottom", "top"), ("back", "front"))
-"""Names of the walls at the lower and upper ends of each axis."""
 NO_PLANE = "a box of three axes has no region in a plane"
 
 
@@ -43,13 +42,12 @@ class SpaceBox(Domain):
         raise NotImplementedError(NO_PLANE)
 
     @property
-    def solid_names(self) -> tuple[str, ...]:
-        return ()
+    def separate_areas(self) -> list[float]:
+        return [self.volume]
 
     @property
-    def wall_names(self) -> tuple[str, ...]:
-        sides = zip(SIDES, self.periodic, strict=True)
-        return tuple(name for names, periodic in sides if not periodic for name in names)
+    def solid_names(self) -> tuple[str, ...]:
+        return ()
 
     def contains(self, position: Array) -> Mask:
         wrapped = self.wrap(position)
@@ -76,6 +74,19 @@ class SpaceBox(Domain):
             wall[normal[:, axis] > 0.0] = low
             wall[normal[:, axis] < 0.0] = high
         return wall
+
+    def sections(self, x: float) -> list[tuple[float, float]]:
+        return [(self.lower[1], self.upper[1])] if self.lower[0] <= x <= self.upper[0] else []
+
+    def fits_lattice(self, particle_spacing: float) -> bool:
+        pitches = self.pitches(particle_spacing)
+        return float(np.ptp(pitches)) <= MOST_UNEVEN * particle_spacing
+
+    def lattice_spacing(self, particle_spacing: float) -> float:
+        return float((self.volume / self.n_particles(particle_spacing)) ** (1.0 / 3.0))
+
+    def pitches(self, particle_spacing: float) -> tuple[float, ...]:  # type: ignore[override]
+        return tuple(n / count for n, count in zip(self.lengths, self.counts(particle_spacing)))
 
     def wall_search(self, particle_spacing: float) -> WallSearch:
         raise NotImplementedError("walls of a box of three axes reflect particles")
