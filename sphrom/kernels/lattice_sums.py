@@ -31,7 +31,7 @@ class Images(NamedTuple):
 
 @parallel
 def sums(
-    first: int,
+    targets: Indices,
     fields: Array,
     stencil: Indices,
     weights: Array,
@@ -39,11 +39,11 @@ def sums(
     odd: bool,
     out: Array,
 ) -> None:
-    """Sum fields over the neighbours of successive points.
+    """Sum fields over the neighbours of some points.
 
     Parameters
     ----------
-    first : the first of these points; points are numbered along x first, then along y.
+    targets : (n,) numbers of these points, along x first, then along y.
     fields : (n_points, n_fields) at all points.
     stencil : (n_neighbours, 3) offsets in numbers of points, along x first.
     weights : (n_neighbours, n_sums).
@@ -54,7 +54,7 @@ def sums(
     n_rows = images.y.size - 2 * images.depth
     n_fields = fields.shape[1]
     for r in prange(out.shape[1]):
-        point = first + r
+        point = targets[r]
         x = point % n_columns + images.depth
         y = point // n_columns % n_rows + images.depth
         z = point // (n_columns * n_rows) + images.depth

@@ -15,8 +15,8 @@ k <= l. F_kl is S(e_k, e_l) = B(e_k, e_l) + B(e_l, e_k), halved for k = l; with 
 contains L e_l, and with k = l = 0 the source. The products of b are the monomials of a.
 
 Forms have a row for the continuity equation (from which the mean may be subtracted) without
-advection, one for the advection of q, and one for each component of the velocity. Forms that concern
-the velocity only have the latter. A form is (n_rows, n_fields, n) at n points.
+advection, one for the advection of q, and one for each component of the velocity. Forms that
+concern the velocity only have the latter. A form is (n_rows, n_fields, n) at n points.
 """
 
 from __future__ import annotations

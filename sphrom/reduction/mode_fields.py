@@ -123,7 +123,8 @@ class FieldProjections:
     def products(self, scaled_density: Array, velocity: Array) -> tuple[Array, Array]:
         """Return projections (n_states, 2, n_fields) and squares (n_states, 2) of states.
 
-        `scaled_density` is q (n_states, n_points) and `velocity` (n_states, n_points, n_dim), in [m/s].
+        `scaled_density` is q (n_states, n_points) and `velocity` (n_states, n_points, n_dim), both
+        in [m/s].
         """
         density = scaled_density - weighted_mean(scaled_density, self._share)[:, None]
         states = velocity.transpose(0, 2, 1).reshape(len(velocity), -1), density

@@ -24,7 +24,7 @@ error is three times smaller and evaluation 1.5 times slower."""
 Vector = tuple[Array, ...]
 """Coordinates (n_positions,) by axis [m]."""
 Values = Callable[[Array], Array]
-"""Return the fields (n_positions, (1 + n_dim) n_modes) of modes at positions (n_positions, n_dim)."""
+"""Return fields (n_positions, (1 + n_dim) n_modes) of modes at positions (n_positions, n_dim)."""
 
 
 class ModeSplines(ABC):
@@ -119,6 +119,6 @@ def coordinates(positions: ArrayLike) -> Vector:
 
 
 def basis_columns(basis: TrialBasis) -> Array:
-    """Return a basis as columns (n_points, (1 + n_dim) n_modes): first field and velocity, mode by mode."""
+    """Return first field and velocity, mode by mode, as columns (n_points, (1 + n_dim) n_modes)."""
     modes = np.concatenate((basis.density_modes[..., None], basis.velocity_modes), axis=2)
     return np.ascontiguousarray(modes.transpose(1, 0, 2).reshape(modes.shape[1], -1))

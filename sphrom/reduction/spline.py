@@ -65,7 +65,8 @@ def fitting_cells(domain: Domain, cell_width: float) -> tuple[int, int]:
 def cell_grid(domain: Domain, cell_shape: tuple[int, int]) -> Grid:
     """Return the grid that divides a domain into cells."""
     width, height = (length / n for length, n in zip(domain.lengths, cell_shape, strict=True))
-    return Grid(*domain.lower, width, height, *cell_shape)
+    left, low = domain.lower
+    return Grid(left, low, width, height, *cell_shape)
 
 
 def length_scale(grid: Grid) -> float:

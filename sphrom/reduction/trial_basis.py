@@ -148,7 +148,8 @@ def reconstruct(
     """Return the states with coordinates (..., n_modes) (Eq. 3.7).
 
     They are the density fluctuation (..., n_points) [kg/m3] and the velocity
-    (..., n_points, n_dim) [m/s]. `mean` (...) [kg/m3] is the mean density fluctuation of a basis that separates it.
+    (..., n_points, n_dim) [m/s]. `mean` (...) [kg/m3] is the mean density fluctuation of a basis
+    that separates it.
     """
     first_field = np.tensordot(generalized_coordinates, basis.density_modes, 1)
     velocity = np.tensordot(generalized_coordinates, basis.velocity_modes, 1)

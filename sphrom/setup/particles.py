@@ -16,7 +16,7 @@ from sphrom.case.measure_sections import ElevationMeasure
 from sphrom.case.models import Case
 from sphrom.case.plan_flows import BEYOND
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import UnstableError
+from sphrom.errors import CaseError, UnstableError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.elevation import Filled, Filling, columns_of, lowest_surface
 from sphrom.metrics.measures import FLOW_RATES, FieldMeasure, Quantities
@@ -29,12 +29,16 @@ from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import UnitForcing, pressure_of, volume_of
 from sphrom.sph.functional import Functional, MeasuredWall, WallForces, measured_wall
+from sphrom.sph.lattice import NotOnLatticeError
+from sphrom.sph.lattice_points import LatticePoints
 from sphrom.sph.watch import Watch
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
 LOOK_EVERY = 8
 """Least number of steps between looks at a full run, which then take 0.3 % of its time."""
+IN_SPACE = 3
+"""Number of axes of a box in space."""
 HEIGHTS = 2
 """Number of heights per particle spacing at which the elevation is searched."""
 
@@ -110,7 +114,7 @@ def watch(case: Case, point: ParameterPoint) -> Watch:
 
 
 def map_onto(case: Case, points: Array) -> ReferenceMap:
-    """Return the case's map of particle fields onto points (n_points, 2)."""
+    """Return the case's map of particle fields onto points (n_points, n_dim)."""
     return ReferenceMap(
         points,
         case.scene.domain,
@@ -134,7 +138,7 @@ def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str,
 
 
 def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
-    """Return the forcing of walls' ghosts and points (n_points, 2) per unit of each parameter."""
+    """Return the forcing of ghosts and points (n_points, n_dim) per unit of each parameter."""
     at_rest, per_unit = case.plan.rest_and_units
     ghosts = walls(case, at_rest)
     forcings = {}
@@ -152,25 +156,38 @@ def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
 
 
 def fixed_points(case: Case, position: Array) -> FixedPoints:
-    """Return the sums over neighbours at the reference points (n_points, 2) [m].
+    """Return the sums over neighbours at the reference points (n_points, n_dim) [m].
 
-    Each driving parameter has a separate part in them.
+    Each driving parameter has a separate part in them. Raises CaseError for points that are not a
+    lattice, or measured forces, in three dimensions.
     """
     point = case.plan.train_points[0]
     flow, _ = case.plan.rest_and_units
     force = None if flow.body_force is None else flow.body_force.field(position.T)
-    return FixedPoints(
-        position,
-        case.plan.fluid(point),
-        case.plan.discretization,
-        flow.domain,
-        walls(case, flow),
-        force,
-        walls_driven=flow.wall_amplitude is not None,
-        drives=drives(case, position),
-        resistance=flow.resistance,
-        terms=flow.terms,
-    )
+    in_space = position.shape[1] == IN_SPACE
+    if in_space and case.scene.measured_walls:
+        raise CaseError(
+            "scene.measure: models from operators have no forces on walls in three dimensions; "
+            "leave them out, or compute them by full runs alone"
+        )
+    points_of = LatticePoints if in_space else FixedPoints
+    try:
+        return points_of(
+            position,
+            case.plan.fluid(point),
+            case.plan.discretization,
+            flow.domain,
+            walls(case, flow),
+            force,
+            walls_driven=flow.wall_amplitude is not None,
+            drives=drives(case, position),
+            resistance=flow.resistance,
+            terms=flow.terms,
+        )
+    except NotOnLatticeError as error:
+        raise CaseError(
+            f"reference.points: {error}; set it to lattice in three dimensions"
+        ) from error
 
 
 def filled(case: Case, points: Array) -> Filled:
@@ -191,7 +208,7 @@ def filled(case: Case, points: Array) -> Filled:
 
 
 def sampler(case: Case, points: Array) -> ReferenceMap:
-    """Return the interpolation that samples particles at points (n_points, 2) [m].
+    """Return the interpolation that samples particles at points (n_points, n_dim) [m].
 
     It is the accurate one, whichever map the case uses. Above a free surface fields are zero.
     """

@@ -78,11 +78,11 @@ def first_of(particles: Indices, position: Array) -> str:
 class Domain(ABC):
     """The part of a box that is filled with fluid."""
 
-    lower: tuple[float, float]
+    lower: tuple[float, ...]
     """The box's lower corner [m]."""
-    upper: tuple[float, float]
+    upper: tuple[float, ...]
     """The box's upper corner [m]."""
-    periodic: tuple[bool, bool]
+    periodic: tuple[bool, ...]
     """Whether the box is periodic, by axis."""
 
     @property
@@ -91,9 +91,9 @@ class Domain(ABC):
         return len(self.lower)
 
     @property
-    def lengths(self) -> tuple[float, float]:
+    def lengths(self) -> tuple[float, ...]:
         """The box's edges [m]."""
-        return (self.upper[0] - self.lower[0], self.upper[1] - self.lower[1])
+        return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
 
     @property
     @abstractmethod

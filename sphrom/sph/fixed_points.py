@@ -164,9 +164,7 @@ class FixedPoints:
         self.linear_term = sum(linear) if linear else None
         self.quadratic_term = sum(quadratic) if quadratic else None
 
-    def _prepare(
-        self, domain: Domain, discretization: Discretization, walls: Walls | None
-    ) -> None:
+    def _prepare(self, domain: Domain, discretization: Discretization, walls: Walls | None) -> None:
         """Store the sums over neighbours."""
         self._fluid = fluid_sums(self.position, domain, discretization)
         rule = discretization.walls.rule

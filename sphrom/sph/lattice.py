@@ -15,10 +15,14 @@ LATTICE_TOLERANCE = 1e-6
 """Largest distance of a point from the lattice, over its spacing."""
 
 
+class NotOnLatticeError(ValueError):
+    """Points are not the cell centres of a lattice that fills a box."""
+
+
 def lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, ...], Indices]:
     """Return the lattice's shape, and the indices of its points in `position`, row by row.
 
-    Raises ValueError if positions (n_points, n_dim) [m] are not on one.
+    Raises NotOnLatticeError if positions (n_points, n_dim) [m] are not on one.
     """
     n_points, n_dim = position.shape
     near_first = LATTICE_TOLERANCE * (math.prod(domain.lengths) / n_points) ** (1.0 / n_dim)
@@ -30,7 +34,7 @@ def lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, ...], Ind
     number = nearest @ np.cumprod((1, *shape[:-1]))
     is_near = np.abs(cells - nearest) < LATTICE_TOLERANCE
     if not (is_near.all() and np.array_equal(np.sort(number), np.arange(shape.prod()))):
-        raise ValueError("B-splines need points on a lattice, and these are not on one")
+        raise NotOnLatticeError("points on a lattice are needed, and these are not on one")
     return tuple(shape.tolist()), np.argsort(number)
 
 
@@ -65,10 +69,9 @@ class Lattice:
 
         The factors by axis are those of images behind its walls, or of all coordinates.
         """
-        points, multiplied = [], []
-        for axis, factor in enumerate(factors):
-            index, beyond = self.reach(axis)
-            points.append(index)
-            given = isinstance(factor, np.ndarray)
-            multiplied.append(factor if given else np.where(beyond, factor, 1.0))
-        return Images(self.depth, *points, *multiplied)
+        axes = [self.reach(axis) for axis in range(len(factors))]
+        x, y, z = (
+            factor if isinstance(factor, np.ndarray) else np.where(beyond, factor, 1.0)
+            for factor, (_, beyond) in zip(factors, axes, strict=True)
+        )
+        return Images(self.depth, axes[0][0], axes[1][0], axes[2][0], x, y, z)

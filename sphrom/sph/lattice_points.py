@@ -25,7 +25,7 @@ from sphrom.kernels.wendland import LAPLACIAN_SHAPE_IN_SPACE, gradient_factor
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Rows, scaled
 from sphrom.sph.fluid import Discretization
-from sphrom.sph.lattice import Lattice, lattice_order
+from sphrom.sph.lattice import Lattice, NotOnLatticeError, lattice_order
 
 N_DIM = 3
 FACTOR = slice(N_DIM, N_DIM + 1)
@@ -37,15 +37,13 @@ FRICTION = slice(N_DIM + 1, N_DIM + 2)
 class LatticePoints(FixedPoints):
     """The operators of one scene at the points of a lattice, x fastest, then y.
 
-    Raises ValueError if the points are not such a lattice, or something resists the fluid.
+    Raises NotOnLatticeError if the points are not such a lattice.
     """
 
-    def _prepare(
-        self, domain: Domain, discretization: Discretization, walls: Walls | None
-    ) -> None:
+    def _prepare(self, domain: Domain, discretization: Discretization, walls: Walls | None) -> None:
         shape, order = lattice_order(self.position, domain)
         if not np.array_equal(order, np.arange(len(order))):
-            raise ValueError("points of a lattice must be in its order")
+            raise NotOnLatticeError("points of a lattice must be in its order")
         pitches = np.divide(domain.lengths, shape)
         depth = math.ceil(discretization.support_radius / pitches.min() - 1e-9)
         self._lattice = Lattice(domain, shape, depth)
@@ -79,12 +77,12 @@ class LatticePoints(FixedPoints):
 
         `columns` are those of the weights, and `factors` by axis are those of images.
         """
-        first, last, _ = rows.indices(self.n_points)
+        targets = np.arange(self.n_points)[rows]
         flat = np.ascontiguousarray(fields.reshape(self.n_points, -1))
         weights = np.ascontiguousarray(self._weights[:, columns])
-        out = np.empty((weights.shape[1], last - first, flat.shape[1]))
+        out = np.empty((weights.shape[1], targets.size, flat.shape[1]))
         images = self._lattice.images(*factors)
-        lattice_sums.sums(first, flat, self._stencil, weights, images, odd, out)
+        lattice_sums.sums(targets, flat, self._stencil, weights, images, odd, out)
         return out.reshape(*out.shape[:2], *fields.shape[1:])
 
     def divergence(self, velocity: Array) -> Array:
@@ -151,8 +149,8 @@ class LatticePoints(FixedPoints):
         whole = Lattice(lattice.domain, shape, lattice.depth)
         out = np.empty((1, *moving.shape))
         weights = np.ascontiguousarray(self._weights[:, FRICTION])
-        lattice_sums.sums(
-            0, moving, self._stencil, weights, whole.images(0.0, 0.0, 0.0), False, out
-        )
+        targets = np.arange(len(moving))
+        images = whole.images(0.0, 0.0, 0.0)
+        lattice_sums.sums(targets, moving, self._stencil, weights, images, False, out)
         found = out[0].reshape(*shape[::-1], N_DIM)[inner].reshape(-1, N_DIM)
         return -4.0 * self._c * found.T

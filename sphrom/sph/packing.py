@@ -118,7 +118,8 @@ def _box_around(position: Array, domain: Domain) -> BoxDomain:
     upper = np.where(domain.periodic, domain.upper, every.max(axis=1))
     left, low = lower.tolist()
     right, high = upper.tolist()
-    return BoxDomain((left, low), (right, high), domain.periodic)
+    across, along = domain.periodic
+    return BoxDomain((left, low), (right, high), (across, along))
 
 
 def _residual(gradient: Array, spacing: float) -> float:

@@ -24,11 +24,6 @@ class SpaceBox(Domain):
     periodic: tuple[bool, ...]
 
     @property
-    def lengths(self) -> tuple[float, ...]:  # type: ignore[override]
-        """The box's edges [m]."""
-        return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
-
-    @property
     def volume(self) -> float:
         """The volume of the fluid [m3]."""
         return math.prod(self.lengths)
