@@ -69,38 +69,6 @@ def check_walls(driving: Driving) -> None:
             )
 
 
-NOT_IN_SPACE = ("solids", "terms", "fluid", "resistance", "porous", "inflow")
-"""Keys of flows in a plane alone."""
-
-
-def check_axes(scene: CustomScene) -> None:
-    """Raise ValueError unless vectors have a component for each axis of the box.
-
-    Also if a box of three axes has what only boxes of two may have.
-    """
-    n_axes = len(scene.axes)
-    if "z" in scene.box.periodic and n_axes == 2:
-        raise ValueError("box.periodic: z is for boxes of three axes; give box.lower and upper z")
-    vectors = {f"walls.{name}.velocity": wall.velocity for name, wall in scene.walls.items()}
-    vectors["body_force"] = scene.body_force if any(scene.body_force) else None
-    for key, vector in vectors.items():
-        if vector is not None and len(vector) != n_axes:
-            reason = f"must have {n_axes} components, one along each axis of the box"
-            raise ValueError(f"{key}: {reason}; got {len(vector)}")
-    if n_axes == 2:
-        if scene.initial.w != 0.0:
-            raise ValueError("initial.w: is for boxes of three axes; leave it out")
-        return
-    usual = type(scene).model_fields
-    for key in NOT_IN_SPACE:
-        if getattr(scene, key) != usual[key].default:
-            raise ValueError(f"{key}: is for flows in a plane; a box of three axes can't have it")
-    if scene.slip == "free":
-        raise ValueError("slip: walls of a box of three axes have friction; set slip: none")
-    if scene.initial.file is not None:
-        raise ValueError("initial.file: is for flows in a plane; give expressions in x, y, z")
-
-
 def check_surface(driving: Driving) -> None:
     """Raise ValueError unless the fluid with a free surface is in the box, if there is one."""
     scene = driving.scene

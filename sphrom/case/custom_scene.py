@@ -39,6 +39,7 @@ from sphrom.case.points import REYNOLDS
 from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection, Settings
 from sphrom.case.shapes import Shape, ShapeSection
 from sphrom.case.slowing import Slowing
+from sphrom.case.space_checks import check_axes
 from sphrom.case.tables import Histories, InitialSection
 from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS, Function
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
@@ -160,7 +161,7 @@ class CustomScene(SceneSection):
                 names = ", ".join(self.domain.wall_names) or "none"
                 raise ValueError(f"walls.{name}: there is no such wall; the walls are {names}")
         _ = self.domain
-        custom_checks.check_axes(self)
+        check_axes(self)
         if self.slip == "free" and self.walls:
             raise ValueError("slip: moving walls need friction; set slip: none")
         if self.fluid is not None:
