@@ -23,10 +23,12 @@ N_TERMS, N_LINEAR = 10, 4
 N_FIELDS = 4
 N_CHUNKS = 64
 """Number of parts into which points are divided; each has its own scratch memory."""
-WIDTH = 16
-"""Length of a row of sums: products of a term with all terms and fields, padded."""
-N_ROWS = 2 * N_TERMS + 2
-"""Rows of scratch memory: sums, the factor C, its solution, and the terms of one source."""
+WIDTH = 64
+"""Number of sources whose products are summed at once, so that sums run over sources."""
+N_COLUMNS = N_TERMS + N_FIELDS
+N_ROWS = 3 * N_TERMS + N_COLUMNS + 1
+"""Rows of scratch memory: sums; the factor C and its solution; terms and fields of sources, and
+their terms times the weight."""
 
 
 class SpaceCells(NamedTuple):
@@ -54,47 +56,55 @@ def sort_by_cell(place: Array, size: float) -> tuple[Indices, SpaceCells]:
 
 
 @term
-def _span(place: float, reach: float, origin: float, size: float, n_cells: int) -> tuple[int, int]:
+def _span(
+    axis: int, place: tuple[float, float, float], reach: float, cells: SpaceCells
+) -> tuple[int, int]:
     """Return the first cell along an axis within reach of a place, and one past the last."""
-    first = math.floor((place - reach - origin) / size)
-    last = math.floor((place + reach - origin) / size)
-    return min(max(first, 0), n_cells), max(min(last + 1, n_cells), 0)
+    along = place[axis] - cells.origin[axis]
+    first = math.floor((along - reach) / cells.size)
+    last = math.floor((along + reach) / cells.size)
+    return min(max(first, 0), cells.shape[axis]), max(min(last + 1, cells.shape[axis]), 0)
 
 
 @term
-def _add_sources(
-    place: tuple[float, float, float],
-    first: int,
-    last: int,
-    source: Array,
-    inverse_length: float,
-    sums: Array,
-    terms: Array,
-) -> None:
-    """Add the products of terms, and of terms with fields, of a range of sources to `sums`."""
-    for k in range(first, last):
-        x = (source[0, k] - place[0]) * inverse_length
-        y = (source[1, k] - place[1]) * inverse_length
-        z = (source[2, k] - place[2]) * inverse_length
-        if x * x + y * y + z * z >= 4.0:
-            continue
-        weight = kernel_of((x, y, z), 1.0)
-        terms[0] = 1.0
-        terms[1] = x
-        terms[2] = y
-        terms[3] = z
-        terms[4] = x * x
-        terms[5] = y * y
-        terms[6] = z * z
-        terms[7] = x * y
-        terms[8] = x * z
-        terms[9] = y * z
-        for f in range(N_FIELDS):
-            terms[N_TERMS + f] = source[3 + f, k]
-        for i in range(N_TERMS):
-            scale = weight * terms[i]
-            for j in range(WIDTH):
-                sums[i, j] += scale * terms[j]
+def _gap(axis: int, cell: int, place: tuple[float, float, float], cells: SpaceCells) -> float:
+    """Return the distance [m] of a place from a row or layer of cells, zero within it."""
+    along = place[axis] - cells.origin[axis] - cell * cells.size
+    return max(0.0, max(-along, along - cells.size))
+
+
+@term
+def _keep_source(
+    k: int, kept: int, place: tuple[float, float, float], source: Array, inverse: float, rows: Array
+) -> int:
+    """Store the terms and fields of a source after `kept` others, if it is within the support."""
+    x = (source[0, k] - place[0]) * inverse
+    y = (source[1, k] - place[1]) * inverse
+    z = (source[2, k] - place[2]) * inverse
+    if x * x + y * y + z * z >= 4.0:
+        return kept
+    weight = kernel_of((x, y, z), 1.0)
+    terms = (1.0, x, y, z, x * x, y * y, z * z, x * y, x * z, y * z)
+    for i in range(N_TERMS):
+        rows[i, kept] = terms[i]
+        rows[N_COLUMNS + i, kept] = weight * terms[i]
+    for f in range(N_FIELDS):
+        rows[N_TERMS + f, kept] = source[3 + f, k]
+    return kept + 1
+
+
+@term
+def _add_products(kept: int, rows: Array, sums: Array) -> None:
+    """Add the products of the terms of sources, and of terms with fields, to `sums`."""
+    for i in range(N_TERMS):
+        weighted = rows[N_COLUMNS + i]
+        for j in range(N_COLUMNS):
+            if j <= i or j >= N_TERMS:
+                values = rows[j]
+                total = 0.0
+                for k in range(kept):
+                    total += weighted[k] * values[k]
+                sums[i, j] += total
 
 
 @term
@@ -113,8 +123,8 @@ def _factorise(sums: Array, factor: Array) -> bool:
 
 
 @term
-def _value(sums: Array, factor: Array, solution: Array, n_terms: int, field: int) -> float:
-    """Return the constant term z . b of the polynomial of a field, with M z = e_0."""
+def _solve_first(factor: Array, solution: Array, n_terms: int) -> None:
+    """Solve M z = e_0 with the first terms of M = C C^T."""
     for i in range(n_terms):
         value = 1.0 if i == 0 else 0.0
         for k in range(i):
@@ -126,6 +136,11 @@ def _value(sums: Array, factor: Array, solution: Array, n_terms: int, field: int
         for k in range(i + 1, n_terms):
             value -= factor[k, i] * solution[k]
         solution[i] = value / factor[i, i]
+
+
+@term
+def _constant_of(field: int, sums: Array, solution: Array, n_terms: int) -> float:
+    """Return the constant term z . b of the polynomial of a field."""
     total = 0.0
     for i in range(n_terms):
         total += solution[i] * sums[i, N_TERMS + field]
@@ -158,23 +173,34 @@ def moving_least_squares(
         sums = scratch[chunk, :N_TERMS]
         factor = scratch[chunk, N_TERMS : 2 * N_TERMS]
         solution = scratch[chunk, 2 * N_TERMS]
-        terms = scratch[chunk, 2 * N_TERMS + 1]
+        rows = scratch[chunk, 2 * N_TERMS + 1 :]
         for i in range(chunk * n_points // N_CHUNKS, (chunk + 1) * n_points // N_CHUNKS):
             place = (points[0, i], points[1, i], points[2, i])
             sums[:] = 0.0
-            west, east = _span(place[0], reach, cells.origin[0], cells.size, cells.shape[0])
-            south, north = _span(place[1], reach, cells.origin[1], cells.size, cells.shape[1])
-            back, front = _span(place[2], reach, cells.origin[2], cells.size, cells.shape[2])
+            kept = 0
+            south, north = _span(1, place, reach, cells)
+            back, front = _span(2, place, reach, cells)
             for layer in range(back, front):
+                deep = _gap(2, layer, place, cells)
                 for row in range(south, north):
+                    up = _gap(1, row, place, cells)
+                    half = math.sqrt(max(reach * reach - deep * deep - up * up, 0.0))
+                    west, east = _span(0, place, half, cells)
                     base = (layer * cells.shape[1] + row) * cells.shape[0]
                     first = cells.start[base + west]
                     last = cells.start[base + max(west, east)]
-                    _add_sources(place, first, last, source, 2.0 / reach, sums, terms)
+                    for k in range(first, last):
+                        kept = _keep_source(k, kept, place, source, 2.0 / reach, rows)
+                        if kept == WIDTH:
+                            _add_products(kept, rows, sums)
+                            kept = 0
+            _add_products(kept, rows, sums)
             determined = _factorise(sums, factor)
+            _solve_first(factor, solution, N_TERMS)
             for f in range(N_FIELDS):
-                value = _value(sums, factor, solution, N_TERMS, f)
+                value = _constant_of(f, sums, solution, N_TERMS)
                 out[f, i] = value if determined else math.nan
             if linear[i] > 0.0:
-                value = _value(sums, factor, solution, N_LINEAR, 0)
+                _solve_first(factor, solution, N_LINEAR)
+                value = _constant_of(0, sums, solution, N_LINEAR)
                 out[0, i] += linear[i] * (value - out[0, i])
