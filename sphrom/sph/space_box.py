@@ -1,4 +1,4 @@
-"""A box of three axes that fluid fills, with plane walls at the ends of some of them."""
+"""A box of three axes that fluid fills: periodic along some axes, with plane walls at other ends."""
 
 from __future__ import annotations
 
@@ -81,7 +81,8 @@ class SpaceBox(Domain):
         return float((self.volume / self.n_particles(particle_spacing)) ** (1.0 / 3.0))
 
     def pitches(self, particle_spacing: float) -> tuple[float, ...]:  # type: ignore[override]
-        return tuple(n / count for n, count in zip(self.lengths, self.counts(particle_spacing)))
+        counts = self.counts(particle_spacing)
+        return tuple(n / count for n, count in zip(self.lengths, counts, strict=True))
 
     def wall_search(self, particle_spacing: float) -> WallSearch:
         raise NotImplementedError("walls of a box of three axes reflect particles")

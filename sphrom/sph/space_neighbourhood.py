@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphrom.arrays import Array, Indices
-from sphrom.kernels.blocks import Blocks
+from sphrom.kernels.blocks import BLOCK_COLUMNS, Blocks
 from sphrom.kernels.space_lists import (
     SpaceGrid,
     SpaceSearch,
@@ -17,10 +17,8 @@ from sphrom.kernels.space_lists import (
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import SLACK, Neighbourhood
 
-CELL_RATIO = (0.5, 1.0, 1.0)
-"""Edges of a cell over the particle spacing."""
-BRICK = (4, 2, 2)
-"""Numbers of cells along each axis whose targets share a list; the fastest of several tried."""
+CELL_RATIO = (0.5, 2.0, 2.0)
+"""Edges of a cell over the particle spacing; these are the fastest of several tried."""
 
 
 @dataclass(frozen=True)
@@ -118,12 +116,10 @@ class SpaceNeighbourhood(Neighbourhood):
             1.0 / self._smoothing_length,
         )
         targets = np.flatnonzero(order < position.shape[1])
-        brick = index[:, order[targets]] // np.array(BRICK)[:, None]
-        bricks = shape // np.array(BRICK) + 1
-        block = (brick[2] * bricks[1] + brick[1]) * bricks[0] + brick[0]
-        by_block = np.argsort(block, kind="stable")
-        self._targets = targets[by_block]
-        first = np.flatnonzero(np.diff(block[by_block], prepend=-1))
+        self._targets = targets
+        index[0] //= BLOCK_COLUMNS
+        changes = np.diff(index[:, order[targets]], prepend=-1).any(axis=0)
+        first = np.flatnonzero(changes)
         self.block_start = np.append(first, targets.size)
         # Targets may move by the limit, and the reach then grows by as much.
         limit = SLACK * self._move_limit
