@@ -64,8 +64,8 @@ def check_walls(driving: Driving) -> None:
         worst = int(np.argmax(across))
         if across[worst] > ALONG * float(np.max(np.hypot.reduce(velocity.T))):
             raise ValueError(
-                f"walls.{name}: its velocity at {in_words(place[worst])} m has a normal component of "
-                f"{across[worst]:.3g} m/s; walls may only move along themselves"
+                f"walls.{name}: its velocity at {in_words(place[worst])} m has a normal component "
+                f"of {across[worst]:.3g} m/s; walls may only move along themselves"
             )
 
 

@@ -298,7 +298,9 @@ class CustomScene(SceneSection):
         given = (*self.acceleration, self.resistance)
         varied = bool(self.porous) or any(isinstance(value, str) for value in given)
         found = [np.empty((0, self.domain.n_dim)), *self._beside_jumps()]
-        if varied and MOST_PLACES * particle_spacing**self.domain.n_dim > math.prod(self.domain.lengths):
+        if varied and MOST_PLACES * particle_spacing**self.domain.n_dim > math.prod(
+            self.domain.lengths
+        ):
             found += [self.domain.fill(part * particle_spacing) for part in (1.0, 0.5)]
         keys = {name: getattr(self, name) for name in type(self).model_fields}
         other = self.model_construct(self.model_fields_set, **keys)

@@ -131,9 +131,7 @@ class LidDrivenCubeScene(LidDrivenCavityScene):
 
     title: ClassVar[str] = "The lid-driven cube"
     cavity: ClassVar[type[flows.LidDrivenCavity]] = flows.LidDrivenCube
-    defaults: ClassVar[Defaults] = {
-        **LidDrivenCavityScene.defaults, **IN_SPACE
-    }
+    defaults: ClassVar[Defaults] = {**LidDrivenCavityScene.defaults, **IN_SPACE}
 
     kind: Literal["lid-driven-cube"] = key(..., "kind of flow")  # type: ignore[assignment]
 

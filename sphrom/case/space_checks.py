@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sphrom.case.models import Case
     from sphrom.case.custom_scene import CustomScene
+    from sphrom.case.models import Case
 
 Found = Iterator[tuple[str, str]]
 

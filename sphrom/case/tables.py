@@ -206,7 +206,9 @@ class InitialSection(TableSection):
 
     @model_validator(mode="after")
     def _file_alone(self) -> InitialSection:
-        if self.file is not None and any(value != 0.0 for value in (self.u, self.v, self.w, self.p)):
+        if self.file is not None and any(
+            value != 0.0 for value in (self.u, self.v, self.w, self.p)
+        ):
             raise ValueError("file can't be combined with u, v, w and p; give one or the other")
         return self
 

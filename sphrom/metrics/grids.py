@@ -108,5 +108,6 @@ class Slices:
         ends = np.array([self.lower, self.upper])
         fractions = np.array([0.0, 0.5, 1.0])
         along, depth = (low + fractions * (high - low) for low, high in ends[:, [axis, 2]].T)
-        places = [*along, *(self._starts[axis] + depth - self.lower[2])]
-        return places, [f"{value:.3g}" for value in (*along, *depth)]
+        # The upper end of the first axis has no number: that of the second begins beside it.
+        places = [*along[:2], *(self._starts[axis] + depth - self.lower[2])]
+        return places, [f"{value:.3g}" for value in (*along[:2], *depth)]

@@ -83,7 +83,9 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     found = {"fom": Need(_ram(run + waiting), written, files, passing)}
     if not case.rom:
         return found
-    found["map"] = Need(BASELINE, BYTES * number * ((1 + n_dim) * n_snapshots + n_dim) * len(at), ("map-*.h5",))
+    found["map"] = Need(
+        BASELINE, BYTES * number * ((1 + n_dim) * n_snapshots + n_dim) * len(at), ("map-*.h5",)
+    )
     modes = sum(plan.basis_size(name) for name in plan.bases) * (1 + n_dim) * number
     kept = modes * (1 + case.basis.lagrangian)
     n_learnt = len(plan.train_points) * n_snapshots
@@ -244,7 +246,7 @@ def described_run(case: Case, point: ParameterPoint) -> str:
 
 
 def _describe_shape(case: Case, report: Reporter) -> None:
-    """Print the area or the volume of the fluid, and the width of its narrowest places in support radii."""
+    """Print the fluid's area or volume, and the width of its narrowest places in support radii."""
     domain = case.scene.domain
     plan = case.plan
     support = SUPPORT_RATIO * plan.smoothing_length
@@ -261,7 +263,8 @@ def _describe_shape(case: Case, report: Reporter) -> None:
     size = filled if case.scene.has_surface or domain.n_dim > 2 else domain.area
     quantity = f"area is {size:.4g} m2" if domain.n_dim == 2 else f"volume is {size:.4g} m3"
     pitches = domain.pitches(plan.particle_spacing)
-    apart = ", ".join(f"{pitch:.4g} m along {axis}" for axis, pitch in zip("xyz", pitches))
+    along = zip("xyz", pitches, strict=False)
+    apart = ", ".join(f"{pitch:.4g} m along {axis}" for axis, pitch in along)
     uneven = [f"particles {apart} apart fit its sides"] * (len(set(pitches)) > 1)
     report.info("; ".join((f"the fluid's {quantity}", *uneven, *described)))
 

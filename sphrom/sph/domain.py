@@ -69,10 +69,10 @@ def lattice_points(x: Array, y: Array) -> Array:
 
 
 def first_of(particles: Indices, position: Array) -> str:
-    """Describe the first of some particles at positions (2, n_particles) [m], in words."""
-    x, y = position[:, particles[0]]
+    """Describe the first of some particles at positions (n_dim, n_particles) [m], in words."""
+    place = ", ".join(f"{coordinate:.6g}" for coordinate in position[:, particles[0]])
     more = f" (one of {particles.size})" if particles.size > 1 else ""
-    return f"particle {particles[0]} at ({x:.6g}, {y:.6g}) m{more}"
+    return f"particle {particles[0]} at ({place}) m{more}"
 
 
 class Domain(ABC):

@@ -128,7 +128,6 @@ class Discretization:
         return math.ceil(self.support_radius / self.particle_spacing * (1.0 - ROUNDING))
 
 
-
 @dataclass(frozen=True)
 class StepLimits:
     """The largest stable time steps [s]."""

@@ -171,7 +171,7 @@ def periodic_images(position: Array, domain: Domain, margin: float) -> tuple[Ind
     """
     particle = np.arange(position.shape[1])
     image = domain.wrap(position.T).T - position
-    for axis in range(2):
+    for axis in range(len(position)):
         if not domain.periodic[axis]:
             continue
         length = domain.lengths[axis]

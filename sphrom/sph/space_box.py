@@ -81,7 +81,8 @@ class SpaceBox(Domain):
         return float((self.volume / self.n_particles(particle_spacing)) ** (1.0 / 3.0))
 
     def pitches(self, particle_spacing: float) -> tuple[float, ...]:  # type: ignore[override]
-        return tuple(n / count for n, count in zip(self.lengths, self.counts(particle_spacing)))
+        counts = self.counts(particle_spacing)
+        return tuple(n / count for n, count in zip(self.lengths, counts, strict=True))
 
     def wall_search(self, particle_spacing: float) -> WallSearch:
         raise NotImplementedError("walls of a box of three axes reflect particles")

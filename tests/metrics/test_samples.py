@@ -33,5 +33,5 @@ def test_slices_lie_side_by_side() -> None:
     expected = [[0.5, 0.25, 2.5], [1.0, 0.25, 2.5], [0.5, 0.0, 2.25], [np.nan] * 3, [np.nan] * 3]
     np.testing.assert_allclose(slices.places(shown), expected)
     places, numbers = slices.ticks(0)
-    np.testing.assert_allclose(places, [0.0, 1.0, 2.0, 2.12, 2.62, 3.12])
-    assert numbers == ["0", "1", "2", "2", "2.5", "3"]
+    np.testing.assert_allclose(places, [0.0, 1.0, 2.12, 2.62, 3.12])
+    assert numbers == ["0", "1", "2", "2.5", "3"]

@@ -75,7 +75,7 @@ class Start(Record):
 
     @property
     def state(self) -> Array:
-        """The full state (5, n_particles)."""
+        """The full state (2 n_dim + 1, n_particles)."""
         return np.vstack((self.position.T, self.density_fluctuation, self.velocity.T))
 
 
