@@ -31,7 +31,10 @@ from sphrom.sph.fluid import UnitForcing, pressure_of, volume_of
 from sphrom.sph.functional import Functional, MeasuredWall, WallForces, measured_wall
 from sphrom.sph.lattice import NotOnLatticeError
 from sphrom.sph.lattice_points import LatticePoints
+from sphrom.sph.space_functional import SpaceFunctional, SpaceWallForces
 from sphrom.sph.watch import Watch
+
+AnyForces = WallForces | SpaceWallForces
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
@@ -46,6 +49,15 @@ HEIGHTS = 2
 def functional(case: Case, point: ParameterPoint) -> Functional:
     """Return the full-order functional at a parameter point."""
     flow = case.plan.flow(point)
+    if flow.domain.n_dim == IN_SPACE:
+        return SpaceFunctional(
+            case.plan.fluid(point),
+            case.plan.discretization,
+            flow.domain,
+            body_force=flow.body_force,
+            wall_velocity=flow.wall_velocity,
+            speed_at=flow.wall_speed,
+        )
     ghosts = walls(case, flow)
     return Functional(
         case.plan.fluid(point),
@@ -78,8 +90,11 @@ def measured_walls(case: Case, flow: Scene) -> dict[str, MeasuredWall]:
     }
 
 
-def wall_forces(case: Case, point: ParameterPoint, of: Functional) -> WallForces | None:
+def wall_forces(case: Case, point: ParameterPoint, of: Functional) -> AnyForces | None:
     """Return the forces that a case measures, for states of a functional, if there are any."""
+    if isinstance(of, SpaceFunctional):
+        names = case.scene.measured_walls
+        return SpaceWallForces(of, names) if names else None
     measured = measured_walls(case, case.plan.flow(point))
     return WallForces(of, measured) if measured else None
 

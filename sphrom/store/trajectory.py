@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs 
     from sphrom.setup.particles import MeasuredParticles
     from sphrom.sph.domain import Walls
     from sphrom.sph.functional import WallForces
+    from sphrom.sph.space_functional import SpaceWallForces
     from sphrom.sph.time_loop import Item, Snapshot
     from sphrom.sph.watch import Watch
 
@@ -95,7 +96,7 @@ class TrajectoryWriter:
         n_dim: int = 2,
         separate_mean: bool = False,
         walls: Walls | None = None,
-        forces: WallForces | None = None,
+        forces: WallForces | SpaceWallForces | None = None,
         fields: MeasuredParticles | None = None,
         watch: Watch | None = None,
     ) -> None:
