@@ -124,7 +124,9 @@ class SpaceFunctional(Functional):
         regular = np.empty((sweeps.N_REGULAR_ROWS, position.shape[1]))
         neighbourhood = self.neighbourhood
         constants = self._regularity_constants
-        sweeps.space_regularity(neighbourhood.blocks, neighbourhood.search, source, constants, regular)
+        sweeps.space_regularity(
+            neighbourhood.blocks, neighbourhood.search, source, constants, regular
+        )
         self._hold_back(position, velocity, regular[sweeps.OWN_SHIFT : sweeps.DIVERGENCE])
         self._gather(regular[: sweeps.OWN_SHIFT], sweeps.PRESSURE)
         if ghost.size:
