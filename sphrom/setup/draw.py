@@ -79,7 +79,7 @@ def draw(case: Case) -> Figure:
     walls = particles.walls(case, case.plan.flow(case.plan.points[0]))
     reach = spacing * case.plan.n_wall_layers if walls is not None and in_plane else 0.0
     beyond = np.where(domain.periodic, 0.0, reach)
-    slices = Slices(domain.lower - beyond, domain.upper + beyond)
+    slices = Slices((domain.lower - beyond).tolist(), (domain.upper + beyond).tolist())
     left, right, low, high = frame = slices.extent
     size = np.array((right - left, high - low))
     width, height = size * min((WIDTH, HEIGHT) / size)
@@ -302,7 +302,8 @@ def _draw_sides(axes: Axes, case: Case, slices: Slices, arrow: float) -> None:
             text, colour = (f"{name}, {largest:.3g} m/s", MOVING) if largest else (name, panels.INK)
             axes.plot(*place.T, color=panels.INK, lw=1.6)
             turned = 90.0 if axis == along[0] else 0.0
-            axes.text(*place.mean(axis=0), text, color=colour, rotation=turned, **CENTRED)
+            x, y = place.mean(axis=0).tolist()
+            axes.text(x, y, text, color=colour, rotation=turned, **CENTRED)
     speeds = [float(np.linalg.norm(velocity, axis=1).max()) for _, _, velocity in moving]
     fastest = max(speeds, default=0.0)
     for (view, side, velocity), speed in zip(moving, speeds, strict=True):
