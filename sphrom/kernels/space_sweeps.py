@@ -177,9 +177,7 @@ def space_regularity(
                 i = blocks.particle[here[t]]
                 own = space_flow(source, here[t])
                 place = minus(own.place, origin)
-                sums = space_regularity_sums(
-                    place, own, near, n, constants, search.inverse_length
-                )
+                sums = space_regularity_sums(place, own, near, n, constants, search.inverse_length)
                 gradient = space_gradient(sums.matrix, sums.gradient)
                 speed = constants.magnitude * math.sqrt(dot(sums.push, sums.push))
                 scale = -constants.magnitude

@@ -15,6 +15,8 @@ from sphrom.arrays import Array
 
 GAP = 0.06
 """Distance between slices in a picture, over the longest edge of the box."""
+VIEWS = ((0, 1), (2, 1), (0, 2))
+"""The axes to the right and upwards of each slice of a box in space."""
 Extent = tuple[float, float, float, float]
 """Left, right, lower and upper edge of a picture [m]."""
 
@@ -85,6 +87,12 @@ class Slices:
             [x, right_end, bottom, top],
             [left, right, y, top_end],
         ]
+
+    def shown(self, view: int, points: Array) -> Array:
+        """Return the places (n_points, 2) in the picture of points (n_points, 3) [m] in a slice."""
+        axes = VIEWS[view]
+        shift = np.where(np.array(axes) == 2, self._starts - self.lower[2], 0.0)
+        return points[:, axes] + shift
 
     def places(self, shown: Array) -> Array:
         """Return the points (n_points, n_dim) of places (n_points, 2) in the picture [m].

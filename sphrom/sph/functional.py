@@ -319,13 +319,16 @@ class Functional:
     def remedy(self, state: Array, time_step: float) -> str:
         """Return a suggestion for a run that became unstable near a state."""
         sound = self.fluid.sound_speed
-        limit = step_limits(self.fluid, self.discretization, self.domain.has_walls).least
+        limit = step_limits(self.fluid, self.discretization, self.ghosts is not None).least
         now = self.snapshot(state)
         if time_step > limit * (1.0 + ROUNDING):
             return f"the time step is beyond its limit of {limit:.4g} s"
         if (speed := float(np.hypot.reduce(now.velocity).max())) > LARGEST_MACH_NUMBER * sound:
             return f"c0 = {sound:.4g} m/s is too low for {speed:.3g} m/s: raise the reference speed"
-        if np.abs(now.density_fluctuation).max() > 0.5 * DENSITY_LIMIT * self.fluid.reference_density:
+        if (
+            np.abs(now.density_fluctuation).max()
+            > 0.5 * DENSITY_LIMIT * self.fluid.reference_density
+        ):
             return f"c0 = {sound:.4g} m/s is too low for the pressure: lower the Mach number"
         return "a smaller time step or a finer resolution may help"
 

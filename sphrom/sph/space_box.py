@@ -1,4 +1,4 @@
-"""A box of three axes that fluid fills: periodic along some axes, with plane walls at other ends."""
+"""A box of three axes that fluid fills, with plane walls at the ends of some of them."""
 
 from __future__ import annotations
 

@@ -105,7 +105,10 @@ class SpaceNeighbourhood(Neighbourhood):
         beyond = ((place[walled] < low) | (place[walled] > high)).any(axis=0)
         beyond[: position.shape[1]] = False
         self.near = SpaceSources(
-            particle[order], flip, np.ascontiguousarray(image[:, order]), np.flatnonzero(beyond[order])
+            particle[order],
+            flip,
+            np.ascontiguousarray(image[:, order]),
+            np.flatnonzero(beyond[order]),
         )
         self._search = SpaceSearch(
             origin,
