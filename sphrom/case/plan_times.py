@@ -42,8 +42,10 @@ class TimesPlan(FlowsPlan):
         scene = self.scene
         sharpness = self._sharpest_corner
         slowing = scene.largest_resistance(self.kinematic_viscosity(point))
+        # Images behind plane walls make no waves or friction that particles have not.
+        has_ghosts = scene.domain.has_walls and scene.domain.n_dim == 2
         return fluid.step_limits(
-            self.fluid(point), self.discretization, scene.domain.has_walls, sharpness, slowing
+            self.fluid(point), self.discretization, has_ghosts, sharpness, slowing
         )
 
     @cached_property

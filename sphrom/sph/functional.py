@@ -319,7 +319,7 @@ class Functional:
     def remedy(self, state: Array, time_step: float) -> str:
         """Return a suggestion for a run that became unstable near a state."""
         sound = self.fluid.sound_speed
-        limit = step_limits(self.fluid, self.discretization, self.domain.has_walls).least
+        limit = step_limits(self.fluid, self.discretization, self.ghosts is not None).least
         now = self.snapshot(state)
         if time_step > limit * (1.0 + ROUNDING):
             return f"the time step is beyond its limit of {limit:.4g} s"

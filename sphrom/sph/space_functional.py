@@ -127,6 +127,7 @@ class SpaceFunctional(Functional):
         sweeps.space_regularity(
             neighbourhood.blocks, neighbourhood.search, source, constants, regular
         )
+        self._hold_back(position, velocity, regular[sweeps.OWN_SHIFT : sweeps.DIVERGENCE])
         self._gather(regular[: sweeps.OWN_SHIFT], sweeps.PRESSURE)
         if ghost.size:
             source[sweeps.PRESSURE, ghost] += heads
@@ -138,6 +139,20 @@ class SpaceFunctional(Functional):
                 moving = moving * speed(time)
             source[sweeps.VELOCITY : sweeps.VOLUME, ghost] = 2.0 * moving - velocity[:, particle]
         return regular
+
+    def _hold_back(self, position: Array, velocity: Array, shifting: Array) -> None:
+        """Limit velocities with which particles near walls approach them, by the shifting.
+
+        An image of a particle repels it less the nearer it is. A particle's speed towards a wall is
+        therefore at most the largest expected speed times its distance over the spacing; fields
+        are transported with the particles.
+        """
+        rate = self.fluid.max_speed / self.discretization.particle_spacing
+        for axis in np.flatnonzero(~np.array(self.domain.periodic)):
+            for way, wall in ((1.0, self.domain.lower[axis]), (-1.0, self.domain.upper[axis])):
+                distance = way * (position[axis] - wall)
+                approach = -way * (velocity[axis] + shifting[axis])
+                shifting[axis] += way * np.maximum(approach - rate * distance, 0.0)
 
     def _gather(self, fields: Array, first: int) -> None:
         """Copy fields (n_fields, n_particles) to the sources, from a row on."""

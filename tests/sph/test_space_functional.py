@@ -184,6 +184,19 @@ def test_the_vortex_loses_energy_by_its_viscosity() -> None:
     assert power == pytest.approx(-6.0 * FLUID.kinematic_viscosity * energy, rel=0.02)
 
 
+def test_particles_near_walls_cannot_pass_them() -> None:
+    domain = box(False, True, True)
+    functional = SpaceFunctional(FLUID, SIZES, domain)
+    state = np.vstack((domain.fill(SPACING).T, np.zeros((4, N**3))))
+    first = state[0] < SPACING
+    state[0, first] = 0.1 * SPACING
+    state[4, first] = -FLUID.max_speed
+    rates = functional(state)
+    assert rates[0, first] == pytest.approx(-0.1 * FLUID.max_speed, rel=1e-9)
+    state[4, first] = 0.0
+    assert (functional(state)[0, first] >= -0.1 * FLUID.max_speed).all()
+
+
 def test_packing_spreads_particles_evenly() -> None:
     found = pack(box(True, True, True), SIZES)
     assert found.residual[-1] < 1e-3 < 0.02 < found.residual[0]
