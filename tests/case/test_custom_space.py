@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+import sphrom
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case, resolved_yaml
 from sphrom.errors import CaseError
@@ -97,3 +98,10 @@ def test_a_file_of_initial_fields_is_for_a_plane(load, tmp_path: Path) -> None:
     (tmp_path / "start.csv").write_text("x,y,u,v\n0,0,0,0\n1,0,0,0\n0,1,0,0\n")
     with pytest.raises(CaseError, match=r"initial\.file: is for flows in a plane"):
         load(initial={"file": "start.csv"})
+
+
+def test_a_function_of_python_may_give_all_three_components() -> None:
+    keys = sphrom.Flow(box=BOX, body_force=lambda x, y, z: (0.1 * z, 0.0 * x, 0.2 * y))
+    case = Case.model_validate({"name": "x", "scene": keys, "discretization": {"resolution": 24}})
+    found = flow(case).body_force(PLACES.T, 0.0)
+    np.testing.assert_allclose(found, [0.1 * PLACES[:, 2], 0.0 * PLACES[:, 0], 0.2 * PLACES[:, 1]])
