@@ -30,6 +30,10 @@ LINE_INTERVAL = 10.0
 """Time before the first plain line about progress [s]; each next interval is twice as long."""
 LONGEST_INTERVAL = 600.0
 """Longest interval between such lines [s]."""
+MOST_SHOWN = 0.99
+"""Largest share that a bar shows: work whose end is near isn't done yet."""
+LEAST_LEFT = 1.0
+"""Least time left that a line tells [s]."""
 LONGEST_LINE = 500
 """Most characters of an error or a warning; the texts that they quote may be of any length."""
 PROSE = 100
@@ -103,7 +107,7 @@ def _bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
         nonlocal shown
         if time.monotonic() >= shown + 1.0 / bars.live.refresh_per_second:
             shown = time.monotonic()
-            bars.update(task, completed=done, refresh=True)
+            bars.update(task, completed=min(done, MOST_SHOWN * total), refresh=True)
 
     try:
         bars.start()
@@ -294,5 +298,5 @@ def _progress_lines(description: str, total: int) -> Generator[str, int, None]:
             line = f"{description}: {100 * done // total} %"
             if done > first:
                 item = (now - since) / (done - first)
-                line += f", {duration(item * (total - done))} left"
+                line += f", {duration(max(LEAST_LEFT, item * (total - done)))} left"
         done = yield line

@@ -71,6 +71,10 @@ def clock(monkeypatch):
             ((40.0, 10), (50.0, 40), (80.0, 40), (90.0, 10)),
             ["fom: 10 %", "fom: 90 %, 5 s left", "fom: 100 of 100 in 90 s"],
         ),
+        (  # what isn't done yet takes some time
+            ((9.9, 10), (10.0, 89), (10.0, 1)),
+            ["fom: 99 %, 1 s left", "fom: 100 of 100 in 10 s"],
+        ),
     ],
 )
 def test_progress_in_lines(clock, course, expected):
