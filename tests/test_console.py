@@ -125,6 +125,9 @@ def test_a_terminal_shows_it_so_too(monkeypatch, clock):
         clock[0] = 2.0
         outer(1)
         assert screen(terminal.getvalue())[-1].endswith("  50 % -:--:--")
+        clock[0] = 3.0
+        outer(1)
+        assert "  99 % " in screen(terminal.getvalue())[-1]
     width = len(SHOWN)
     assert screen(terminal.getvalue()) == [*lines, ""] == [
         SHOWN, "warning: of 1 fault", "of another program", SHOWN,
