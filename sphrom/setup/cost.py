@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sphrom.case.hints import few_snapshots, slow_sweep, sweep_beyond_training
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
-from sphrom.console import Reporter
+from sphrom.console import Reporter, StageTime
 from sphrom.errors import ResourceError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
@@ -49,8 +50,22 @@ SPARSE_NUMBERS = 6
 """Numbers per neighbour in the sums that operators hold: four matrices, each with half an index."""
 TENSOR_COPIES = 14
 """Copies of a closure's largest tensor, or of an estimate's factor, while they are made."""
-SECONDS_PER_NEIGHBOUR = 5e-8
+SECONDS_PER_NEIGHBOUR = 3e-8
 """Time per step and neighbour of a particle on one core, measured on the three demo cases."""
+GHOST = 4.5
+"""The cost of a ghost over that of a particle, with the terms of walls."""
+AT_NO_MODE, EACH_MODE = 1.1, (4.5, 0.8)
+"""A Galerkin step's cost over the full model's: without modes, and that of polyharmonic splines at
+no mode and for each, over the root of the number of neighbours."""
+B_SPLINES = (0.92, 0.053)
+"""The same cost with B-splines, at no mode and for each. All measured in processor time at 48
+neighbours (80x80, lid-driven cavity) and 200 (150x150, Taylor-Green), M = 5 to 30."""
+CLOSURE = 1.1
+"""The additional cost of a closure: once more the full right-hand side."""
+LOADING, PICTURES = 0.3, 3.5
+"""Times of loading a stage with runs, and of drawing the pictures of a comparison [s]."""
+TIMED_STEPS = 60
+"""Steps of each model in the timings of a comparison."""
 
 
 @dataclass(frozen=True)
@@ -148,8 +163,60 @@ def runs_that_fit(case: Case, stage: str) -> int:
 def full_seconds(case: Case, n_runs: int) -> float:
     """Return the approximate time of full runs on one core [s]."""
     steps = case.plan.steps
-    neighbours = case.plan.n_particles * case.plan.n_neighbours
+    particles = case.plan.n_particles + GHOST * case.plan.n_ghosts
+    neighbours = particles * case.plan.n_neighbours
     return SECONDS_PER_NEIGHBOUR * neighbours * (steps.n_steps + steps.n_spin_up_steps) * n_runs
+
+
+def reduced_steps(case: Case, model: ReducedModelSection) -> float:
+    """Return the cost of a run of a model on particles, in steps of the full model."""
+    plan = case.plan
+    cost = B_SPLINES[0] + B_SPLINES[1] * model.size
+    if not plan.lattice_splines:
+        at_root = EACH_MODE[0] + EACH_MODE[1] * model.size
+        cost = AT_NO_MODE + at_root / plan.n_neighbours**0.5
+    cost += CLOSURE if model.has_memory else 0.0
+    step = model.time_step if isinstance(model.time_step, float) else plan.steps.time_step
+    return cost * plan.steps.n_steps * plan.steps.time_step / step
+
+
+def stage_times(context: StageContext) -> dict[str, StageTime]:
+    """Return the approximate times of the stages of `run`, if all of their work has to be done.
+
+    Small cases take the time of loading and of many small steps, measured on the demo cases.
+    """
+    case = context.case
+    plan = case.plan
+    steps = plan.steps
+    n_points = len(context.chosen(plan.points))
+    workers = max(1, min(context.workers or 1, n_points))
+
+    def runs(name: str, each: dict[str, float], seconds: float) -> StageTime:
+        at_once = seconds / workers
+        return StageTime(LOADING + at_once, {**each, name: at_once})
+
+    full = full_seconds(case, 1)
+    step = full / (steps.n_steps + steps.n_spin_up_steps)
+    parts = {"spin-up": step * steps.n_spin_up_steps, "full run": step * steps.n_steps}
+    mapped = 1.3e-6 * steps.n_snapshots * plan.n_particles
+    slow = [model for model in context.chosen_models if not model.from_operators]
+    each = {model.name: step * reduced_steps(case, model) for model in slow}
+    reduced = sum(each[m.name] * len(context.chosen(plan.rom_points(m))) for m in slow)
+    learnt = (len(plan.train_points) * steps.n_snapshots) ** 2 * plan.n_particles
+    modes = sum(plan.basis_size(name) for name in plan.reference_bases)
+    sample = 0.2 + 2e-3 * steps.n_snapshots
+    sampled = {f"sample {name}": sample for name in ("the full run", *each)}
+    timed = TIMED_STEPS * (step + sum(each.values()) / steps.n_steps) * bool(case.rom)
+    compared = len(plan.points) * (1 + len(case.rom)) * sample
+    return {
+        "fom": runs("full runs", parts, n_points * full),
+        "map": runs("maps", {"map": mapped}, n_points * mapped),
+        "pod": StageTime(0.1 + 2e-9 * learnt),
+        "fit-psi": StageTime(0.1),
+        "operators": StageTime(0.1 + 6e-5 * plan.n_particles * modes),
+        "rom": runs("reduced runs", each, reduced),
+        "compare": StageTime(PICTURES + timed + compared, {**sampled, "pictures": PICTURES}),
+    }
 
 
 def require_room(
@@ -218,6 +285,8 @@ def run(context: StageContext) -> None:
     for warning in () if case.training.ranges else few_snapshots(case):  # train makes more runs
         report.warn(warning)
     describe_cost(case, report)
+    seconds = sum(time.seconds for time in stage_times(context).values())
+    report.info(f"all stages of `sphrom run`: about {duration(seconds)} on one core")
     _describe_sweep(case, report)
     require_room(case, context.out)
 
