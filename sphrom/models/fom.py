@@ -232,7 +232,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint, shorter: Target | No
                     len(begin.position),
                     case.plan.sound_speed,
                     n_dim=begin.position.shape[1],
-                    walls=particles.walls(case, case.plan.flow(point)),
+                    walls=functional.walls,
                     forces=particles.wall_forces(case, point, functional),
                     fields=MeasuredParticles.of(case, point),
                     watch=particles.watch(case, point),

@@ -104,6 +104,10 @@ class SpaceBox(Domain):
         wall = self.nearest_wall(place)
         return Walls(place, np.zeros_like(place), wall, normal.astype(np.float64))
 
+    def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
+        """Return zero: walls reflect particles, and ghosts only give velocities of walls."""
+        return 0
+
     def _lattice(self, particle_spacing: float, n_layers: int) -> Array:
         """Return cell centres (n_points, 3), x fastest, then y, with some layers beyond walls."""
         axes = []
