@@ -1,12 +1,12 @@
 """Independent solutions of flows in three dimensions, to compare runs with.
 
 The Taylor-Green vortex in a periodic cube (Brachet et al., J. Fluid Mech. 130, 1983) is solved by a
-pseudo-spectral method with fourth-order time steps, viscosity being integrated exactly. Prints times,
-kinetic energies over the speed's square, and rates of dissipation.
+pseudo-spectral method with fourth-order time steps, viscosity being integrated exactly. Prints
+times, kinetic energies over the speed's square, and rates of dissipation.
 
-The cube under a lid with the velocity ((1 - (2x - 1)^14) (1 - (2z - 1)^14))^2, started from rest, is
-solved by finite differences on a staggered grid with projection by cosine transforms, both of second
-order. Prints u along y and v along x through the centre, over the lid's speed and side.
+The cube under a lid with the velocity ((1 - (2x - 1)^14) (1 - (2z - 1)^14))^2, started from rest,
+is solved by finite differences on a staggered grid with projection by cosine transforms, both of
+second order. Prints u along y and v along x through the centre, over the lid's speed and side.
 
     python scripts/space_references.py vortex --reynolds 100 --times 1 2 --points 32
     python scripts/space_references.py cube --reynolds 100 --times 2 5 --points 36

@@ -1,4 +1,4 @@
-"""Checks of flows in boxes of three axes, and what only flows in a plane may have."""
+"""Checks of flows in boxes of three axes, and of keys that only flows in a plane may have."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NOT_IN_SPACE = ("solids", "terms", "fluid", "resistance", "porous", "inflow")
 def check_axes(scene: CustomScene) -> None:
     """Raise ValueError unless vectors have a component for each axis of the box.
 
-    Also if a box of three axes has what only boxes of two may have.
+    Also if a box of three axes has keys of boxes of two.
     """
     n_axes = len(scene.axes)
     if "z" in scene.box.periodic and n_axes == 2:
@@ -61,6 +61,10 @@ def check_space(case: Case) -> Found:
     ):
         if value != needed:
             yield key, f"must be {'left out' if needed is None else needed} {reason}; got {value}"
+    fast = any(model.from_operators for model in case.rom)
+    for name in case.scene.measured_walls if fast else ():
+        forces = "only full runs have forces on walls"
+        yield f"scene.measure.{name}", f"{forces} {reason}; leave it out, or set rom: []"
     if case.psi.kind == "polyharmonic":
         yield "psi.kind", f"must be b-spline {reason}; got polyharmonic"
     for i, model in enumerate(case.rom):

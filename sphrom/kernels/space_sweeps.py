@@ -7,7 +7,7 @@ sums here: the sources include reflected images of particles.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from numba import prange
 
@@ -63,13 +63,13 @@ def gather_space(
 
 
 @inlined
-def space_vector(fields: Array, first: int, columns: object) -> Vector:
+def space_vector(fields: Array, first: int, columns: Any) -> Vector:
     """Return the vector whose components are three rows of an array from the first one on."""
     return fields[first, columns], fields[first + 1, columns], fields[first + 2, columns]
 
 
 @inlined
-def space_flow(source: Array, columns: object) -> Flow:
+def space_flow(source: Array, columns: Any) -> Flow:
     """Return the fields of a source, or of those in a slice."""
     return Flow(
         space_vector(source, PLACE, columns),
@@ -80,7 +80,7 @@ def space_flow(source: Array, columns: object) -> Flow:
 
 
 @inlined
-def space_derived(fields: Array, first: int, columns: object) -> Derived:
+def space_derived(fields: Array, first: int, columns: Any) -> Derived:
     """Return derived fields, whose rows begin with the first one, of a source or a slice."""
     return Derived(
         fields[first, columns],

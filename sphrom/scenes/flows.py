@@ -331,8 +331,9 @@ class LidDrivenCube(LidDrivenCavity):
         velocity = np.zeros_like(position)
         beside = (np.minimum(x, z) < 0.0) | (np.maximum(x, z) > self.length)
         on_lid = (y > self.length) & ~beside
-        along_x, along_z = self.lid_velocity(x[on_lid]), self.lid_velocity(z[on_lid])
-        velocity[on_lid, 0] = along_x * along_z / self.speed if self.speed else 0.0
+        if self.speed:
+            along_x = self.lid_velocity(x[on_lid])
+            velocity[on_lid, 0] = along_x * self.lid_velocity(z[on_lid]) / self.speed
         return velocity
 
 

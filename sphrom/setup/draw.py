@@ -236,7 +236,7 @@ def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
 
 
 def _draw_slices(axes: Axes, case: Case, slices: Slices, size: float, arrow: float) -> None:
-    """Draw the slices of a box in space: particles in them, its sides, and what is measured.
+    """Draw the slices of a box in space: particles, sides, and places of measurements.
 
     Particles are dots of a size [points squared]; the fastest wall has an arrow of a length [m].
     """

@@ -14,7 +14,7 @@ wall, which are exact for plane walls and need no fit:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,6 +38,7 @@ def at_rest(position: Array) -> Array:
 class SpaceFunctional(Functional):
     """Eq. 2.6-2.8 for one fluid in a box of three axes."""
 
+    neighbourhood: SpaceNeighbourhood = field(init=False)
     wall_velocity: Callable[[Array], Array] = at_rest
     """The velocity (n_points, 3) [m/s] of the walls of points (n_points, 3) [m] beyond them."""
     speed_at: Callable[[Array], Callable[[float], float | Array] | None] = lambda position: None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphrom.arrays import Array, Indices
+from sphrom.arrays import Array, Indices, Mask
 from sphrom.kernels.blocks import BLOCK_COLUMNS, Blocks
 from sphrom.kernels.space_lists import (
     SpaceGrid,
@@ -102,7 +102,7 @@ class SpaceNeighbourhood(Neighbourhood):
         low = np.array(self._domain.lower)[walled, None]
         high = np.array(self._domain.upper)[walled, None]
         # Particles themselves may be on a wall.
-        beyond = ((place[walled] < low) | (place[walled] > high)).any(axis=0)
+        beyond: Mask = np.any((place[walled] < low) | (place[walled] > high), axis=0)
         beyond[: position.shape[1]] = False
         self.near = SpaceSources(
             particle[order],

@@ -1,4 +1,4 @@
-"""The independent solutions in three dimensions, against balances and a plate that starts to move."""
+"""The solutions in three dimensions, against balances and a plate that starts to move."""
 
 from __future__ import annotations
 
