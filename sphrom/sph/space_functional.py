@@ -6,7 +6,9 @@ wall, which are exact for plane walls and need no fit:
 
 - an image has the density of its particle, and the head rho_0 (x_g - x_i) . b of a body force b;
 - in the continuity equation it has the reflected velocity, so that walls return the flux into them;
-- in the momentum equation it has 2 U - u, so that the velocity at the wall is the wall's, U.
+- in the momentum equation it has 2 U - u, so that the velocity at the wall is the wall's, U. Beyond
+  two walls, at an edge, it has u: as for an odd function of both distances, friction is then not
+  stiffer than without walls.
 """
 
 from __future__ import annotations
@@ -138,7 +140,11 @@ class SpaceFunctional(Functional):
             moving = self.wall_velocity(place).T
             if (speed := self.speed_at(place)) is not None:
                 moving = moving * speed(time)
-            source[sweeps.VELOCITY : sweeps.VOLUME, ghost] = 2.0 * moving - velocity[:, particle]
+            # Beyond two walls, at an edge, the fluid is turned back twice.
+            way = np.prod(flip, axis=0)
+            source[sweeps.VELOCITY : sweeps.VOLUME, ghost] = (
+                (1.0 - way) * moving + way * velocity[:, particle]
+            )
         return regular
 
     def _hold_back(self, position: Array, velocity: Array, shifting: Array) -> None:
