@@ -36,7 +36,6 @@ def sums(
     stencil: Indices,
     weights: Array,
     images: Images,
-    odd: bool,
     out: Array,
 ) -> None:
     """Sum fields over the neighbours of some points.
@@ -47,7 +46,6 @@ def sums(
     fields : (n_points, n_fields) at all points.
     stencil : (n_neighbours, 3) offsets in numbers of points, along x first.
     weights : (n_neighbours, n_sums).
-    odd : whether an image behind several walls has the least of its factors, not their product.
     out : (n_sums, n, n_fields) the sums at n points.
     """
     n_columns = images.x.size - 2 * images.depth
@@ -67,8 +65,6 @@ def sums(
             l = z + stencil[s, 2]
             source = fields[(images.z[l] * n_rows + images.y[j]) * n_columns + images.x[i]]
             factor = images.x_factor[i] * images.y_factor[j] * images.z_factor[l]
-            if odd:
-                factor = min(images.x_factor[i], images.y_factor[j], images.z_factor[l])
             for k in range(out.shape[0]):
                 weight = factor * weights[s, k]
                 here = out[k, r]

@@ -71,7 +71,6 @@ class LatticePoints(FixedPoints):
         columns: slice,
         rows: Rows = EVERYWHERE,
         factors: tuple[Array | float, ...] = (1.0,) * N_DIM,
-        odd: bool = False,
     ) -> Array:
         """Return sums (n_sums, n, n_fields) of fields (n_points, n_fields) at some points.
 
@@ -82,7 +81,7 @@ class LatticePoints(FixedPoints):
         weights = np.ascontiguousarray(self._weights[:, columns])
         out = np.empty((weights.shape[1], targets.size, flat.shape[1]))
         images = self._lattice.images(*factors)
-        lattice_sums.sums(targets, flat, self._stencil, weights, images, odd, out)
+        lattice_sums.sums(targets, flat, self._stencil, weights, images, out)
         return out.reshape(*out.shape[:2], *fields.shape[1:])
 
     def divergence(self, velocity: Array) -> Array:
@@ -102,7 +101,7 @@ class LatticePoints(FixedPoints):
     def _rubbed(self, velocity: Array, rows: Rows) -> Array:
         total = self._weights[:, FRICTION].sum()
         images = (-1.0,) * N_DIM
-        sums = [self._sums(u, FRICTION, rows, images, odd=True)[0] for u in velocity]
+        sums = [self._sums(u, FRICTION, rows, images)[0] for u in velocity]
         return -2.0 * self._c * (np.stack(sums) - total * velocity[:, rows])
 
     def gradients(self, fields: Array, rows: Rows = EVERYWHERE) -> Array:
@@ -136,6 +135,8 @@ class LatticePoints(FixedPoints):
     def friction_of(self, wall_velocity: Array) -> Array:
         """Return w (3, n_points) [1/(m s)] for walls' velocities (3, n_ghosts) [m/s]."""
         assert self._walls is not None
+        normal = self._walls.normal
+        assert normal is not None
         lattice = self._lattice
         depth = np.where(lattice.domain.periodic, 0, lattice.depth)
         shape = tuple((np.array(lattice.shape) + 2 * depth).tolist())
@@ -145,12 +146,14 @@ class LatticePoints(FixedPoints):
         within = ((index >= 0) & (index < shape)).all(axis=1)
         number = index[within] @ np.cumprod((1, *shape[:-1]))
         moving = np.zeros((math.prod(shape), N_DIM))
-        moving[number] = wall_velocity.T[within]
+        # Images beyond two walls have the velocity of their points.
+        odd = normal.sum(axis=1) % 2.0
+        moving[number] = (odd[:, None] * wall_velocity.T)[within]
         whole = Lattice(lattice.domain, shape, lattice.depth)
         out = np.empty((1, *moving.shape))
         weights = np.ascontiguousarray(self._weights[:, FRICTION])
         targets = np.arange(len(moving))
         images = whole.images(0.0, 0.0, 0.0)
-        lattice_sums.sums(targets, moving, self._stencil, weights, images, False, out)
+        lattice_sums.sums(targets, moving, self._stencil, weights, images, out)
         found = out[0].reshape(*shape[::-1], N_DIM)[inner].reshape(-1, N_DIM)
         return -4.0 * self._c * found.T
