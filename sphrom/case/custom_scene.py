@@ -19,11 +19,12 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.arrays import Array
 from sphrom.case import custom_checks
 from sphrom.case.custom_sections import (
+    BoxSection,
     InflowSection,
+    MovingWallSection,
     Porous,
     Rate,
     SurfaceFluid,
-    Value,
     Vector,
 )
 from sphrom.case.driving import (
@@ -32,7 +33,7 @@ from sphrom.case.driving import (
     Driving,
     at_places,
 )
-from sphrom.case.fields import Coordinate, Point, Positive, SafeName, Section, key
+from sphrom.case.fields import Coordinate, Positive, SafeName, key
 from sphrom.case.functions import Digest, function_of
 from sphrom.case.measure_sections import MEASURE, Measures
 from sphrom.case.points import REYNOLDS
@@ -57,27 +58,6 @@ MOST_SETTINGS = 64
 """Most values of the parameters, evenly chosen, at which slow checks are made."""
 MOST_KNOWN = 4000
 """Most values of the parameters with a cached driving."""
-
-
-class BoxSection(Section):
-    """The box that contains the flow."""
-
-    lower: Point = key((0.0, 0.0), "lower left corner, (x, y) or (x, y, z)", unit="m")
-    upper: Point = key((1.0, 1.0), "upper right corner, with as many coordinates", unit="m")
-    periodic: tuple[Literal["x", "y", "z"], ...] = key((), "periodic axes")
-
-
-class MovingWallSection(Section):
-    """The motion of a wall along itself."""
-
-    velocity: Vector | None = key(
-        None, "velocity, numbers or expressions in x, y (and z) and t", unit="m/s"
-    )
-    rotation: Value | None = key(
-        None,
-        "rate of rotation about its centroid, anticlockwise, a number or an expression in t",
-        unit="rad/s",
-    )
 
 
 @dataclass(frozen=True, eq=False)

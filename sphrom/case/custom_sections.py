@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import shapely
@@ -19,6 +19,7 @@ from sphrom.case.fields import (
     Coordinate,
     Duration,
     OneOf,
+    Point,
     Positive,
     Section,
     key,
@@ -52,6 +53,27 @@ Vector = Annotated[
     tuple[Value, ...], Field(min_length=2, max_length=3), BeforeValidator(_without_tables)
 ]
 """A component along each axis of the box."""
+
+
+class BoxSection(Section):
+    """The box that contains the flow."""
+
+    lower: Point = key((0.0, 0.0), "lower left corner, (x, y) or (x, y, z)", unit="m")
+    upper: Point = key((1.0, 1.0), "upper right corner, with as many coordinates", unit="m")
+    periodic: tuple[Literal["x", "y", "z"], ...] = key((), "periodic axes")
+
+
+class MovingWallSection(Section):
+    """The motion of a wall along itself."""
+
+    velocity: Vector | None = key(
+        None, "velocity, numbers or expressions in x, y (and z) and t", unit="m/s"
+    )
+    rotation: Value | None = key(
+        None,
+        "rate of rotation about its centroid, anticlockwise, a number or an expression in t",
+        unit="rad/s",
+    )
 
 
 class PorousSection(ShapeSection):

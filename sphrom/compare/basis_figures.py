@@ -14,7 +14,8 @@ from sphrom.compare.comparison_tables import SpectrumRow
 from sphrom.metrics.grids import Slices
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.models.contract import basis_used
-from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
+from sphrom.plots.frames import Frame
+from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.setup.draw import solids_within
 from sphrom.store.workspace import Workspace
 

@@ -30,7 +30,8 @@ from sphrom.metrics.measures import Samples
 from sphrom.metrics.quantities import components, unit_of
 from sphrom.models.contract import BEST, Ability, family_of
 from sphrom.models.stored_run import StoredRun
-from sphrom.plots.panels import Curve, Field, Frame, Panel, Role, draw_grid, save
+from sphrom.plots.frames import Frame
+from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures
 from sphrom.store.stored_run import probes_of

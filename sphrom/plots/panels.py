@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import io
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.metrics.grids import Extent, Slices, grid_points
+from sphrom.plots.frames import Frame, Solids
 from sphrom.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -109,9 +109,6 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
 
 
 Range = tuple[float, float]
-Solids = tuple[Array, Array, Array]
-"""Solids as x (nx,) and y (ny,) of pixels [m], and their signed distance (ny, nx) from walls [m],
-negative in the solid."""
 Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
 WIDEST = 12.0
@@ -136,15 +133,8 @@ N_MARKERS, MOST_MARKERS = 12, 26
 """Approximate number of markers along a run's curve, and along a reference with many points."""
 LEAST_GAP = 0.05
 """Least distance between the labels of marked numbers, over the width of the axis."""
-PIXELS_PER_SPACING = 3.0
-MAX_PIXELS = 400
-"""Most pixels along the longer side of a raster."""
 EXTENDED: Any = ("neither", "min", "max", "both")
 """The pointed ends of a colour bar: neither, the lower, the upper, both."""
-NOWHERE = 1e30
-"""Coordinate of pixels between slices, far from all points [m]."""
-REACH = 1.1
-"""Distance from the nearest point, in spacings, above which a pixel is outside of the fluid."""
 LOOKS: dict[Role, dict[str, Any]] = {
     "exact": {"color": EXACT_COLOUR, "linewidth": 5.0},
     "full": {"color": INK, "linewidth": 2.2},
@@ -157,51 +147,6 @@ LOOKS: dict[Role, dict[str, Any]] = {
 def cover(axes: Axes, solids: Solids) -> None:
     """Draw solids on top of a picture."""
     axes.contourf(*solids, levels=(-np.inf, 0.0), colors=[SOLID_COLOUR], zorder=0.5)  # above images
-
-
-@dataclass(frozen=True)
-class Frame:
-    """The part of the plane that a picture shows."""
-
-    extent: Extent
-    """Left, right, lower and upper edge [m]."""
-    solids: Solids | None = None
-    slices: Slices | None = None
-    """The slices that the picture shows, of a box in space."""
-
-    @property
-    def ends(self) -> Extent:
-        """The coordinates at its left, right, lower and upper edge [m]."""
-        left, right, lower, upper = self.extent
-        if self.slices is not None:
-            right = upper = self.slices.upper[2]
-        return left, right, lower, upper
-
-    @property
-    def labels(self) -> tuple[str, str]:
-        """The labels of the axes."""
-        return ("x [m]", "y [m]") if self.slices is None else ("x, then z [m]", "y, then z [m]")
-
-    def raster(self, position: Array) -> Callable[[Array], Array]:
-        """Return a function that turns values at points (n_points, n_dim) [m] into pixels (ny, nx).
-
-        Each pixel has the value of the nearest point, and NaN outside of the fluid.
-        """
-        from scipy.spatial import cKDTree  # importing it takes long
-
-        left, right, lower, upper = self.extent
-        sides = np.array([upper - lower, right - left])
-        spacing = float(np.sqrt(np.prod(sides) / len(position)))
-        if self.slices is not None:
-            edges = np.subtract(self.slices.upper, self.slices.lower)
-            spacing = float(np.cbrt(np.prod(edges) / len(position)))
-        pixel = max(spacing / PIXELS_PER_SPACING, float(np.max(sides)) / MAX_PIXELS)
-        ny, nx = map(int, np.maximum(1, np.ceil(sides / pixel)))
-        points = grid_points((left, lower), (right, upper), (ny, nx))
-        if self.slices is not None:
-            points = np.nan_to_num(self.slices.places(points), nan=NOWHERE)
-        distance, nearest = cKDTree(position).query(points.reshape(ny, nx, -1))
-        return lambda values: np.where(distance <= REACH * spacing, values[nearest], np.nan)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.plan_flows import BEYOND
 from sphrom.errors import CaseError
-from sphrom.metrics.grids import VIEWS, Slices, midpoints
+from sphrom.metrics.grids import VIEWS, Extent, Slices, midpoints
 from sphrom.plots import panels
+from sphrom.plots.frames import Frame, Solids
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.domain import SIDES, Domain, Walls, lattice_points
@@ -102,7 +103,7 @@ def draw(case: Case) -> Figure:
             _draw_slices(axes, case, slices, dot, arrow)
             axes.set_xticks(*slices.ticks(0))
             axes.set_yticks(*slices.ticks(1))
-        x_label, y_label = panels.Frame(frame, slices=None if in_plane else slices).labels
+        x_label, y_label = Frame(frame, slices=None if in_plane else slices).labels
         axes.set(xlim=frame[:2], ylim=frame[2:], xlabel=x_label, ylabel=y_label, aspect="equal")
         packed = ", before packing" if case.plan.packed else ""
         axes.set_title(f"{case.name}: spacing {spacing:.4g} m{packed}")
@@ -112,7 +113,7 @@ def draw(case: Case) -> Figure:
     return figure
 
 
-def solids_within(domain: Domain, frame: panels.Extent) -> panels.Solids:
+def solids_within(domain: Domain, frame: Extent) -> Solids:
     """Return signed distances from walls on a grid over a frame (left, right, lower, upper) [m]."""
     left, right, lower, upper = frame
     width = max(right - left, upper - lower) / PIXELS
@@ -130,7 +131,7 @@ def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: s
     axes.scatter(x, y, s=size, color=colour, linewidths=0.0, label=label, rasterized=many)
 
 
-def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: panels.Solids, arrow: float) -> None:
+def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:
     """Draw walls with their names; the fastest velocity is as long as an arrow [m]."""
     domain = case.scene.domain
     spacing = case.plan.particle_spacing

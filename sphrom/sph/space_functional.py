@@ -142,9 +142,9 @@ class SpaceFunctional(Functional):
                 moving = moving * speed(time)
             # Beyond two walls, at an edge, the fluid is turned back twice.
             way = np.prod(flip, axis=0)
-            source[sweeps.VELOCITY : sweeps.VOLUME, ghost] = (
-                (1.0 - way) * moving + way * velocity[:, particle]
-            )
+            source[sweeps.VELOCITY : sweeps.VOLUME, ghost] = (1.0 - way) * moving + way * velocity[
+                :, particle
+            ]
         return regular
 
     def _hold_back(self, position: Array, velocity: Array, shifting: Array) -> None:

@@ -11,7 +11,8 @@ import pytest
 
 from sphrom.errors import ArtifactError
 from sphrom.metrics.grids import Slices, grid_points
-from sphrom.plots.panels import Curve, Field, Frame, Panel, colour_scale, draw_grid, save
+from sphrom.plots.frames import Frame
+from sphrom.plots.panels import Curve, Field, Panel, colour_scale, draw_grid, save
 
 FRAME = Frame((0.0, 1.0, 0.0, 1.0))
 X = np.linspace(0.0, 1.0, 31)
