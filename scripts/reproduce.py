@@ -35,7 +35,7 @@ from sphrom.console import Reporter
 from sphrom.errors import ResourceError, SphromError
 from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import full_seconds, needs
+from sphrom.setup.cost import full_seconds, needs, reduced_steps
 from sphrom.store.workspace import Target, Workspace
 
 CASES = Path(__file__).parent.parent / "cases"
@@ -58,14 +58,6 @@ FILES = {
 }
 DISK_LIMIT = 60.0
 """[GB]"""
-AT_NO_MODE, EACH_MODE = 1.1, (4.5, 0.8)
-"""A Galerkin step's cost over the full model's: without modes, and what polyharmonic splines add at
-no mode and for each, over the root of the number of neighbours."""
-B_SPLINES = (0.92, 0.053)
-"""The same cost with B-splines, at no mode and for each. All measured in processor time at 48
-neighbours (80x80, lid-driven cavity) and 200 (150x150, Taylor-Green), M = 5 to 30."""
-CLOSURE = 1.1
-"""What a closure adds: once more the full right-hand side."""
 UNSTABLE = 4
 """Exit code of runs that became unstable: as printed, some are."""
 
@@ -245,21 +237,10 @@ def _seconds(run: Run) -> float:
     plan = case.plan.steps
     runs = sum(missing(workspace.full_run(point)) for point in case.plan.points)
     steps = float((plan.n_steps + plan.n_spin_up_steps) * runs)
-    neighbours = case.plan.discretization.n_neighbours
     for model in (m for m in case.rom if not m.from_operators):
-        given = model.time_step if isinstance(model.time_step, float) else plan.time_step
-        cost = _galerkin_cost(model.size, case.plan.lattice_splines, neighbours)
-        cost += CLOSURE if model.has_memory else 0.0
         runs = sum(missing(workspace.reduced_run(model, p)) for p in case.plan.rom_points(model))
-        steps += cost * plan.n_steps * plan.time_step / given * runs
+        steps += reduced_steps(case, model) * runs
     return steps * full_seconds(case, 1) / (plan.n_steps + plan.n_spin_up_steps)
-
-
-def _galerkin_cost(n_modes: int, lattice: bool, n_neighbours: float) -> float:
-    """Return what a Galerkin step on particles costs over one of the full model."""
-    if lattice:
-        return B_SPLINES[0] + B_SPLINES[1] * n_modes
-    return AT_NO_MODE + (EACH_MODE[0] + EACH_MODE[1] * n_modes) / n_neighbours**0.5
 
 
 def _hours(seconds: float) -> str:

@@ -11,8 +11,8 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import IntEnum
@@ -30,6 +30,12 @@ LINE_INTERVAL = 10.0
 """Time before the first plain line about progress [s]; each next interval is twice as long."""
 LONGEST_INTERVAL = 600.0
 """Longest interval between such lines [s]."""
+MOST_SHOWN = 0.99
+"""Largest share that a bar shows: work whose end is near isn't done yet."""
+NO_WORK = 0.1
+"""Share of its estimated time that a stage takes at most if its artifacts exist."""
+LEAST_LEFT = 1.0
+"""Least time left that a line tells [s]."""
 LONGEST_LINE = 500
 """Most characters of an error or a warning; the texts that they quote may be of any length."""
 PROSE = 100
@@ -86,8 +92,11 @@ def _show_table(columns: Sequence[Sequence[str]]) -> None:
 
 
 @contextmanager
-def _bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar below the lines; it yields a function of the number of done items."""
+def _bar(description: str, total: int) -> Iterator[Callable[..., None]]:
+    """Show a progress bar below the lines; it yields a function of the number of done items.
+
+    Of several items, the number is shown beside the description.
+    """
     from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
     global _bars
@@ -96,17 +105,21 @@ def _bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
         console=_console(sys.stdout), redirect_stderr=sys.stderr.isatty(), transient=True,
         auto_refresh=False, refresh_per_second=4.0, speed_estimate_period=float("inf"),
     )  # fmt: skip
-    task = bars.add_task(shortened(description, bars.console.width // 2 - 5), total=total)
+    text = shortened(description, bars.console.width // 2 - 5)
+    task = bars.add_task(text, total=total)
     shown = 0.0
 
-    def show(done: int) -> None:
+    def show(done: float, **changes: Any) -> None:
         nonlocal shown
-        if time.monotonic() >= shown + 1.0 / bars.live.refresh_per_second:
+        if changes or time.monotonic() >= shown + 1.0 / bars.live.refresh_per_second:
             shown = time.monotonic()
-            bars.update(task, completed=done, refresh=True)
+            if total > 1:
+                changes = {"description": f"{text}  {done:>{len(str(total))}} of {total}"}
+            bars.update(task, completed=min(done, MOST_SHOWN * total), refresh=True, **changes)
 
     try:
         bars.start()
+        bars.refresh()
         bars.console.show_cursor()  # a killed process could not do it
         yield show
     finally:
@@ -115,6 +128,64 @@ def _bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
             bars.stop()
         bars.remove_task(task)
         bars.refresh()
+
+
+def show_compiling() -> None:
+    """From now on, show below other bars which function is compiled, and which ones for it."""
+    from numba.core import event
+
+    class Compiling(event.Listener):
+        def on_start(self, event: Any) -> None:
+            name = event.data["dispatcher"].py_func.__name__
+            shown.append(_bar(f"compiling {name}", 1) if _bars else nullcontext())
+            shown[-1].__enter__()
+
+        def on_end(self, event: Any) -> None:
+            shown.pop().__exit__(None, None, None)
+
+    shown: list[Any] = []
+    event.register("numba:compile", Compiling())
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """The estimated time of a stage [s]."""
+
+    seconds: float
+    items: Mapping[str, float] = field(default_factory=dict)
+    """Of each progress within it, by the description up to a comma."""
+
+
+class _Whole:
+    """How much of all stages is done, by their estimated times, shown in the first bar."""
+
+    def __init__(self, stages: Mapping[str, StageTime], show: Callable[..., None]) -> None:
+        self._stages = stages
+        self._show = show
+        self._total = sum(stage.seconds for stage in stages.values())
+        self._done = self._end = 0.0
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Count a stage; one that ends very early, because its artifacts exist, is no work."""
+        number = [*self._stages].index(name) + 1
+        title = f"stage {number} of {len(self._stages)}: {name}"
+        self._show(self._done / self._total, description=title)
+        stage = self._stages[name]
+        self._items = stage.items
+        self._end = self._done + stage.seconds
+        start = time.monotonic()
+        yield
+        if time.monotonic() - start > NO_WORK * stage.seconds:
+            self._done = self._end
+        else:
+            self._total -= self._end - self._done
+
+    def add(self, description: str, share: float) -> None:
+        """Count a share of a progress within the stage."""
+        more = share * self._items.get(description.partition(",")[0], 0.0)
+        self._done = min(self._done + more, self._end)
+        self._show(self._done / self._total)
 
 
 class LogFile:
@@ -179,6 +250,7 @@ class Reporter:
     _level: Level = Level.INFO
     _is_brief: bool = False
     _has_progress: bool = True
+    _whole: _Whole | None = None
     _label: str = ""
 
     @property
@@ -193,6 +265,10 @@ class Reporter:
     @property
     def _terminal(self) -> bool:
         return self.write is None and (_bars is not None or sys.stdout.isatty())
+
+    @property
+    def _has_bars(self) -> bool:
+        return self._terminal and self._shows(Level.INFO) and _console(sys.stdout).is_interactive
 
     def _shows(self, level: Level) -> bool:
         return level >= (Level.RESULT if self.quiet else Level.INFO - self.verbose)
@@ -243,6 +319,23 @@ class Reporter:
             _show_table(cells)
 
     @contextmanager
+    def whole(self, times: Callable[[], Mapping[str, StageTime]]) -> Iterator[Self]:
+        """Show above other bars, on a terminal, how much of all stages is done, and the time left.
+
+        The block gets a reporter whose `stage` tells which stage runs. Within another such block,
+        these are the stages of that one.
+        """
+        if self._whole is not None or not (self._has_progress and self._has_bars):
+            yield self
+            return
+        with _bar("", 1) as show:
+            yield replace(self, _whole=_Whole(times(), show))
+
+    def stage(self, name: str) -> AbstractContextManager[None]:
+        """Count a stage of the whole in a block."""
+        return nullcontext() if self._whole is None else self._whole.stage(name)
+
+    @contextmanager
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
         """Show how much of `total` is done, and the time left, by a bar or by lines now and then.
 
@@ -252,7 +345,7 @@ class Reporter:
             yield lambda done: None
             return
         report = replace(self, _is_brief=False)
-        has_bar = self._terminal and self._shows(Level.INFO) and _console(sys.stdout).is_interactive
+        has_bar = self._has_bars
         level = Level.DETAIL if has_bar else Level.INFO
         start = time.monotonic()
         lines = _progress_lines(description, total)
@@ -264,6 +357,8 @@ class Reporter:
                 nonlocal done
                 done += more
                 show(done)
+                if self._whole is not None:
+                    self._whole.add(description, more / total)
                 if line := lines.send(done):
                     report._tell(line, level)
 
@@ -294,5 +389,5 @@ def _progress_lines(description: str, total: int) -> Generator[str, int, None]:
             line = f"{description}: {100 * done // total} %"
             if done > first:
                 item = (now - since) / (done - first)
-                line += f", {duration(item * (total - done))} left"
+                line += f", {duration(max(LEAST_LEFT, item * (total - done)))} left"
         done = yield line

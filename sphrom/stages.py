@@ -22,7 +22,7 @@ from sphrom.text import counted, duration, exact, nearest, quoted
 if TYPE_CHECKING:
     from sphrom.case.models import Case
     from sphrom.case.points import ParameterPoint
-    from sphrom.console import Reporter
+    from sphrom.console import Reporter, StageTime
     from sphrom.setup.context import StageContext
 
 RUNS = Path("runs")
@@ -104,7 +104,11 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
 
     Raises SphromError.
     """
-    with _warnings_in_lines(context.report):
+    with (
+        _warnings_in_lines(context.report),
+        _whole(context, [stage]) as context,
+        context.report.stage(stage),
+    ):
         module, _, name = STAGES[stage].partition(":")
         run = getattr(import_module(f"sphrom.{module}"), name or "run")
         parameters = signature(run).parameters
@@ -132,23 +136,41 @@ def run_all(context: StageContext, until: str | None = None) -> None:
 
     Raises CaseError when there is no such stage.
     """
-    context = replace(context, keep_valid=True)
     unstable: UnstableError | None = None
-    for stage in _needed(context.case, until):
-        started = time.monotonic()
-        before = len(context.known.written)
-        try:
-            run_stage(stage, replace(context, report=context.report.details))
-        except UnstableError as error:
-            if stage != "rom":
-                raise
-            unstable = error
-        if stage != PIPELINE[-1]:
-            number = len(context.known.written) - before
-            made = f"made {counted(number, 'artifact')}" if number else "all artifacts exist"
-            context.report.info(f"{stage}: {made}, {duration(time.monotonic() - started)}")
+    stages = _needed(context.case, until)
+    with _whole(replace(context, keep_valid=True), stages) as context:
+        for stage in stages:
+            started = time.monotonic()
+            before = len(context.known.written)
+            try:
+                run_stage(stage, replace(context, report=context.report.details))
+            except UnstableError as error:
+                if stage != "rom":
+                    raise
+                unstable = error
+            if stage != PIPELINE[-1]:
+                number = len(context.known.written) - before
+                made = f"made {counted(number, 'artifact')}" if number else "all artifacts exist"
+                context.report.info(f"{stage}: {made}, {duration(time.monotonic() - started)}")
     if unstable is not None:
         raise unstable
+
+
+@contextmanager
+def _whole(context: StageContext, stages: Sequence[str]) -> Iterator[StageContext]:
+    """Show the progress of stages in all, and provide a context that reports it."""
+
+    def times() -> dict[str, StageTime]:
+        from sphrom.setup.cost import stage_times
+
+        known = stage_times(context)
+        return {stage: known[stage] for stage in stages}
+
+    if not set(stages) <= {*PIPELINE}:
+        yield context
+        return
+    with context.report.whole(times) as report:
+        yield replace(context, report=report)
 
 
 def _needed(case: Case, until: str | None) -> list[str]:
@@ -170,14 +192,18 @@ def _needed(case: Case, until: str | None) -> list[str]:
 def _warnings_in_lines(report: Reporter) -> Iterator[None]:
     """Within the block, report warnings of the kernels' cache in one line and ignore overflows.
 
-    Values that aren't finite are refused later, when they are written.
+    Kernels that are compiled are shown by name. Values that aren't finite are refused later, when
+    they are written.
     """
+    from sphrom.console import show_compiling
     from sphrom.kernels.code_cache import CodeCacheWarning, CompilingWarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **details: Any) -> None:
         if issubclass(category, CodeCacheWarning):
             tell = report.note if issubclass(category, CompilingWarning) else report.warn
             tell(str(message))
+            if tell == report.note:
+                show_compiling()
         elif not issubclass(category, RuntimeWarning):
             before(message, category, *where, **details)
 

@@ -108,6 +108,11 @@ def table_rows(text: str) -> list[tuple[int, list[str]]]:
     return rows
 
 
+def place_text(place: Iterable[float]) -> str:
+    """Return coordinates as a text such as `(0.5, 1)`."""
+    return f"({', '.join(f'{coordinate:g}' for coordinate in place)})"
+
+
 def data_size(n_bytes: int) -> str:
     """Format a number of bytes with four digits, such as `256 KiB` or `93.13 GiB`."""
     unit, exponent = ("KiB", 10) if n_bytes < 2**20 else ("MiB", 20)

@@ -9,10 +9,11 @@ import subprocess
 import sys
 from contextlib import suppress
 
+import numba
 import pytest
 
 from sphrom import console
-from sphrom.console import LogFile, Reporter, SilentReporter
+from sphrom.console import LogFile, Reporter, SilentReporter, StageTime
 
 
 class Terminal(io.StringIO):
@@ -71,6 +72,10 @@ def clock(monkeypatch):
             ((40.0, 10), (50.0, 40), (80.0, 40), (90.0, 10)),
             ["fom: 10 %", "fom: 90 %, 5 s left", "fom: 100 of 100 in 90 s"],
         ),
+        (  # what isn't done yet takes some time
+            ((9.9, 10), (10.0, 89), (10.0, 1)),
+            ["fom: 99 %, 1 s left", "fom: 100 of 100 in 10 s"],
+        ),
     ],
 )
 def test_progress_in_lines(clock, course, expected):
@@ -121,6 +126,9 @@ def test_a_terminal_shows_it_so_too(monkeypatch, clock):
         clock[0] = 2.0
         outer(1)
         assert screen(terminal.getvalue())[-1].endswith("  50 % -:--:--")
+        clock[0] = 3.0
+        outer(1)
+        assert "  99 % " in screen(terminal.getvalue())[-1]
     width = len(SHOWN)
     assert screen(terminal.getvalue()) == [*lines, ""] == [
         SHOWN, "warning: of 1 fault", "of another program", SHOWN,
@@ -235,3 +243,56 @@ def test_brief_reporter_passes_on_warnings_and_progress_if_asked(capsys, clock):
     assert capsys.readouterr().out == ""
     say_all(SilentReporter())
     assert capsys.readouterr() == ("", "")
+
+
+def test_the_stages_of_a_command_are_one_whole(monkeypatch, clock):
+    """Its share only grows, also if a stage has nothing to do; items of workers count too."""
+    terminal = at_terminal(monkeypatch, 200)
+    times = {
+        "fom": StageTime(4.0, {"full run": 2.0, "full runs": 4.0}),
+        "map": StageTime(1.0),
+        "rom": StageTime(5.0, {"a": 4.0}),
+    }
+    seen = []
+
+    def look(report, description, total, done):
+        with report.progress(description, total) as advance:
+            clock[0] += 1.0
+            advance(done)
+        first = next(line for line in screen(terminal.getvalue()) if line.startswith("stage"))
+        seen.append(re.sub(r"\W*━.*?(\d+ %).*", r" \1", first))
+
+    with Reporter().whole(lambda: times) as report:
+        with report.stage("fom"):
+            look(report, "full run, reynolds=1", 4, 3)
+            look(report.details, "full runs", 2, 1)
+        with report.stage("map"):  # its artifacts exist
+            look(report, "map", 1, 0)
+            clock[0] -= 0.95
+        with report.stage("rom"), report.whole(dict) as same:
+            look(same, "b", 1, 1)
+            look(same, "a, reynolds=1", 2, 1)
+            assert "a, reynolds=1  1 of 2 " in terminal.getvalue()
+    assert seen == [
+        "stage 1 of 3: fom 15 %", "stage 1 of 3: fom 35 %", "stage 2 of 3: map 40 %",
+        "stage 3 of 3: rom 44 %", "stage 3 of 3: rom 67 %",
+    ]  # fmt: skip
+    assert screen(terminal.getvalue()) == [""]
+
+
+def test_without_a_terminal_the_whole_is_not_estimated():
+    lines = []
+    with Reporter(write=lines.append).whole(pytest.fail) as report, report.stage("fom"):
+        report.info("fom")
+    assert lines == ["fom"]
+
+
+def test_a_kernel_that_is_compiled_is_shown_by_name(monkeypatch):
+    terminal = at_terminal(monkeypatch, 80)
+    console.show_compiling()
+    with Reporter().progress("fom", 4):
+        kernel = numba.njit(lambda x: x + 1)
+        kernel.py_func.__name__ = "evaluate"
+        kernel(1)
+        assert screen(terminal.getvalue())[-1].startswith("fom ")
+    assert "compiling evaluate " in terminal.getvalue()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from functools import wraps
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial, wraps
 from typing import Any
 
 from sphrom.arguments import checked
@@ -15,7 +15,7 @@ from sphrom.signals import guarded
 from sphrom.sph.terms import Term
 
 VECTORS = ("body_force", "velocity")
-"""Keys with two components, which one function may give."""
+"""Keys with as many components as the box, which one function may give."""
 
 
 class Flow(dict[str, Any]):
@@ -27,7 +27,7 @@ class Flow(dict[str, Any]):
 
     A function can stand wherever an expression can. It takes arrays, and returns an array of the
     same shape; its arguments are named like the variables of the expression, such as x, y [m] and
-    t [s], or like constants of the scene. For a vector, one function may return both components.
+    t [s], or like constants of the scene. For a vector, one function may return all components.
     As in an expression, a force is a field times an amplitude; `functions` names functions that
     expressions call: `functions={"gust": gust}, body_force=["gust(x, y)*sin(t)", 0]`.
 
@@ -44,6 +44,9 @@ class Flow(dict[str, Any]):
     @checked
     def __init__(self, **keys: Any) -> None:
         self._functions: dict[str, str] = {}
+        box = keys.get("box")
+        lower = box.get("lower") if isinstance(box, Mapping) else None
+        self._n_dim = 3 if isinstance(lower, Sequence) and len(lower) == 3 else 2
         scene = {name: self._plain(value, (name,)) for name, value in keys.items()}
         functions = {**scene.pop("functions", {}), **self._functions}
         super().__init__({"kind": "custom", **scene, "functions": functions})
@@ -60,7 +63,9 @@ class Flow(dict[str, Any]):
             if not callable(value):
                 return value
             if path[-1] in VECTORS:
-                return [self._plain(_component(value, n), (*path, "xy"[n])) for n in range(2)]
+                axes = enumerate("xyz"[: self._n_dim])
+                of = partial(_component, value, self._n_dim)
+                return [self._plain(of(n), (*path, axis)) for n, axis in axes]
             name = path[-1] if path[0] == "functions" else re.sub(r"\W", "_", "_".join(path))
             self._functions[name] = remember(value)
             return f"{name}({', '.join(Function(name, value).arguments)})"
@@ -68,12 +73,14 @@ class Flow(dict[str, Any]):
             raise CaseError(f"{'.'.join(path)}: {error}") from error
 
 
-def _component(function: Callable[..., Any], number: int) -> Callable[..., Any]:
-    """Return a function for one of two components."""
+def _component(function: Callable[..., Any], n_dim: int, number: int) -> Callable[..., Any]:
+    """Return a function for one of some components."""
 
     @wraps(function)
     def component(*values: Any) -> Any:
-        one, other = function(*values)
-        return (one, other)[number]
+        found = tuple(function(*values))
+        if len(found) != n_dim:
+            raise ValueError(f"returns {len(found)} components; there are {n_dim}")
+        return found[number]
 
     return component

@@ -14,12 +14,13 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Measured, Samples, since, why_missing
-from sphrom.metrics.quantities import AXES, MEASURABLE, PLACED, is_vector
+from sphrom.metrics.quantities import AXES, MEASURABLE, PLACED, is_vector, unit_of
 from sphrom.models.contract import ModelRun
 from sphrom.models.estimates import ErrorEstimate
 from sphrom.models.points.sensitivities import Tangents
 from sphrom.setup.assembly import field_measures
 from sphrom.signals import guarded
+from sphrom.text import place_text
 
 if TYPE_CHECKING:
     import xarray
@@ -42,6 +43,7 @@ class Labels:
 
     def __init__(self, case: Case) -> None:
         self.case = case
+        self.n_dim = case.scene.domain.n_dim
         fields = case.scene.measured_fields.items()
         self._lines = {name: f" {name}_place" for name, m in fields if not m.quantities}
         self._known: dict[bytes, xarray.Coordinates] = {}
@@ -71,7 +73,7 @@ class Labels:
                     values = np.squeeze(values, axis=-1 - vector)
                 dims, meaning = f"{axes}{line}{' component' * vector}", f"{quantity} of {of}"
                 if quantity in MEASURABLE:
-                    unit = MEASURABLE[quantity].unit
+                    unit = unit_of(quantity, self.n_dim)
                 else:  # an oscillation has one figure per run
                     dims = axes.removesuffix("snapshot")
                     values = values[..., 0]
@@ -81,7 +83,7 @@ class Labels:
                     self._notes(own, quantity, values, regimes)
                 )
         if (key := time.tobytes()) not in self._known:
-            coordinates = axes_of(time)
+            coordinates = axes_of(time, self.n_dim)
             for name, measure in field_measures(self.case).items():
                 if not measure.is_integral:
                     dims = f"{self._lines.get(name, '')} component"
@@ -112,15 +114,16 @@ class Labels:
         about: Mapping[str, Any],
         axes: str = "snapshot",
     ) -> xarray.Dataset:
-        """Return fields at points (n_points, 2) [m]; raise CaseError outside of the fluid."""
+        """Return fields at points (n_points, n_dim) [m]; raise CaseError outside of the fluid."""
         import xarray
 
         position = finite_array(points, "points")
         domain = self.case.scene.domain
-        if position.ndim != 2 or position.shape[1] != 2 or not len(position):
-            raise CaseError(f"points: must have the shape (n_points, 2); got {position.shape}")
-        for x, y in position[~domain.contains(position)][:1]:
-            raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
+        if position.ndim != 2 or position.shape[1] != self.n_dim or not len(position):
+            shape = f"(n_points, {self.n_dim})"
+            raise CaseError(f"points: must have the shape {shape}; got {position.shape}")
+        for place in position[~domain.contains(position)][:1]:
+            raise CaseError(f"points: {place_text(place)} m is not in the fluid")
         samples = sampled(domain.wrap(position))
         dims = f"{axes} point"
         where = labelled("point component", position, "m", "position of each point")
@@ -128,7 +131,7 @@ class Labels:
             "velocity": labelled(f"{dims} component", samples.velocity, "m/s", "velocity"),
             "pressure": labelled(dims, samples.pressure, "Pa", "pressure"),
         }
-        coordinates = axes_of(time) | {"position": where}
+        coordinates = axes_of(time, self.n_dim) | {"position": where}
         return xarray.Dataset(variables, coordinates, dict(about)).set_xindex("time")
 
     def runs(
@@ -190,10 +193,10 @@ def rows_of(points: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
     return [dict(zip(columns, row, strict=True)) for row in rows.tolist()]
 
 
-def axes_of(time: Array) -> dict[str, Variable]:
+def axes_of(time: Array, n_dim: int) -> dict[str, Variable]:
     """Return the coordinates of snapshots and components."""
     times = labelled("snapshot", time, "s", "time of each snapshot")
-    return {"time": times, "component": ("component", list(AXES))}
+    return {"time": times, "component": ("component", list(AXES[:n_dim]))}
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -238,7 +241,8 @@ class Result:
         component) [N/m], `drag_torque` (snapshot) [N], `flux_flow_rate` (snapshot) [m2/s], for a
         probe `wake_velocity` (snapshot, component) [m/s] and `wake_pressure` (snapshot) [Pa], and
         for a line the same with an axis `profile_place`. The coordinate `wake_position` [m] is the
-        place. Oscillations have one value per run, such as `shedding_frequency` [Hz], NaN without
+        place. In three dimensions forces are in [N], without torque, and flow rates in [m3/s].
+        Oscillations have one value per run, such as `shedding_frequency` [Hz], NaN without
         an oscillation.
         """
         attributes = {"model": self.model, **self.parameters}
@@ -268,7 +272,7 @@ class Result:
 
         Parameters
         ----------
-        points : (n_points, 2) positions [m]. Along periodic axes they may be outside of the box.
+        points : positions (n_points, n_dim) [m]; along periodic axes also outside of the box.
 
         Returns
         -------

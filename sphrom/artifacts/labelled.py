@@ -20,10 +20,12 @@ from sphrom.artifacts.reader import Artifact, open_artifact
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
 from sphrom.errors import CaseError
-from sphrom.metrics.quantities import AXES
+from sphrom.metrics.quantities import AXES, MEASURABLE, unit_of
 
 _MEASURED = re.compile("((?:error_estimate|steady)/)?(measure|force)/([^/]+)/([^/]+)")
 """The path of a measured quantity: a prefix, the kind, the measurement and the quantity."""
+COMPONENT = "component"
+"""The axis of the components of vectors."""
 
 
 def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
@@ -41,13 +43,14 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
         if group and group not in groups:
             there = ", ".join(groups) or "none"
             raise CaseError(f"{path} has no group {group}; there are: {there}")
+        n_dim = next((_n_dim(artifact, n, f) for n, f in fields.items() if COMPONENT in f.axes), 2)
         variables = {
-            _short(name, group): _variable(artifact, name, field)
+            _short(name, group): _variable(artifact, name, field, n_dim)
             for name, field in fields.items()
             if _home(field, name) in ("", group)
         }
         for wall in {name.split("/")[1] for name in fields if name.startswith("force/")}:
-            for load in ("force", "torque"):
+            for load in ("force", *["torque"] * (n_dim == 2)):
                 one, other = (variables[f"{wall}_{p}_{load}"] for p in ("pressure", "viscous"))
                 variables[f"{wall}_{load}"] = total = one + other
                 total.attrs = {"units": one.attrs["units"], "long_name": f"{load} on the wall"}
@@ -64,15 +67,20 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
             at = labelled["parameters"][labelled["complete"].values].values.T
             along = zip(artifact.text("parameter_names").split(","), at, strict=True)
             labelled = labelled.assign_coords({name: ("complete_run", row) for name, row in along})
-        if "component" in labelled.dims:
-            labelled = labelled.assign_coords(component=list(AXES))
+        if COMPONENT in labelled.dims:
+            labelled = labelled.assign_coords(component=list(AXES[:n_dim]))
         if "time" in labelled and labelled["time"].dims == ("snapshot",):
             labelled = labelled.set_coords("time").set_xindex("time")
         labelled.set_close(stack.pop_all().close)
         return labelled
 
 
-def _variable(artifact: Artifact, name: str, field: Field) -> xarray.Variable:
+def _n_dim(artifact: Artifact, name: str, field: Field) -> int:
+    """Return the number of components in a dataset of vectors."""
+    return int(artifact.form(name)[0][field.axes.index(COMPONENT)])
+
+
+def _variable(artifact: Artifact, name: str, field: Field, n_dim: int) -> xarray.Variable:
     dims = [  # the axes of a dataset have different names
         f"{axis}_{again + 1}" if (again := field.axes[:i].count(axis)) else axis
         for i, axis in enumerate(field.axes)
@@ -80,6 +88,10 @@ def _variable(artifact: Artifact, name: str, field: Field) -> xarray.Variable:
     labels = {key: text for key, text in field.labels.items() if text}
     if (measured := _MEASURED.fullmatch(name)) and measured[1]:
         labels["long_name"] = f"{measured[1][:-1].replace('_', ' ')}: {field.meaning}"
+    if measured is not None:
+        quantity = "force" if measured[2] == "force" else measured[4]
+        if n_dim > 2 and quantity in MEASURABLE:
+            labels["units"] = unit_of(quantity, n_dim)
     variable = xarray.Variable(dims, indexing.LazilyIndexedArray(_Lazy(artifact, name)), labels)
     if measured is None or "place" not in dims:
         return variable

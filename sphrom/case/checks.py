@@ -23,6 +23,7 @@ from sphrom.case.model_checks import (
 from sphrom.case.model_sections import ALL, LOCAL
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS
+from sphrom.case.space_checks import check_space
 from sphrom.case.study_checks import check_compare, check_sweep, check_trade, check_training
 from sphrom.case.study_sections import FULL, FieldFigure, OfModes
 from sphrom.case.yaml_reader import Problem
@@ -140,6 +141,7 @@ def _check_scene(case: Case) -> Found:
 
 
 _CHECKS: tuple[Callable[[Case], Found], ...] = (
+    check_space,
     check_geometry,
     _check_scene,
     check_splines,
@@ -151,6 +153,7 @@ _CHECKS: tuple[Callable[[Case], Found], ...] = (
     check_compare,
 )
 _SNAPSHOT_CHECKS: tuple[Callable[[Case], Found], ...] = (
+    check_space,
     check_training_runs,
     check_modes,
     check_reduced_times,

@@ -17,6 +17,7 @@ from sphrom.case.driving import (
     KEYS,
     N_CHECKED,
     Driving,
+    in_words,
     largest_norm,
     require_finite,
 )
@@ -61,11 +62,10 @@ def check_walls(driving: Driving) -> None:
         normal = scene.domain.distance_and_normal(place)[1]
         across = np.abs(np.sum(velocity * normal, axis=1))
         worst = int(np.argmax(across))
-        if across[worst] > ALONG * float(np.max(np.hypot(*velocity.T))):
-            x, y = place[worst]
+        if across[worst] > ALONG * float(np.max(np.hypot.reduce(velocity.T))):
             raise ValueError(
-                f"walls.{name}: its velocity at ({x:g}, {y:g}) m has a normal component of "
-                f"{across[worst]:.3g} m/s; walls may only move along themselves"
+                f"walls.{name}: its velocity at {in_words(place[worst])} m has a normal component "
+                f"of {across[worst]:.3g} m/s; walls may only move along themselves"
             )
 
 
@@ -102,7 +102,7 @@ def parameter_problems(scene: CustomScene, names: Collection[str]) -> Found:
     """Yield constants in which walls or the force aren't affine, and ambiguous names."""
     driving = scene.at()
     varied = [name for name in names if name in scene.constants]
-    slowed = driving.expression("resistance", scene.resistance, "x", "y")
+    slowed = driving.expression("resistance", scene.resistance, *scene.axes)
     for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
         yield name, "resistance depends on it, which no parameter changes"
     for key, timed in driving.timed():
@@ -166,7 +166,7 @@ def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
             return
     samples = driving.scene.places.samples
     start = driving.initial(samples[samples[:, 1] <= driving.level])
-    speeds = {**driving.speeds(final_time), "initial": largest_norm(start[:, :2])}
+    speeds = {**driving.speeds(final_time), "initial": largest_norm(start[:, :-1])}
     for key, speed in speeds.items():
         if speed > FASTEST * sound_speed:
             yield (
@@ -174,7 +174,7 @@ def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
                 f"reaches {speed:.4g} m/s, {speed / sound_speed:.2g} times the speed of "
                 f"sound; set fluid.reference_speed: {speed:.3g}, or lower it",
             )
-    pressure = np.abs(driving.initial(samples)[:, 2]).max()
+    pressure = np.abs(driving.initial(samples)[:, -1]).max()
     if pressure > LARGEST_CHANGE * fluid.reference_density * sound_speed**2:
         yield "initial.p", f"{pressure:.3g} Pa changes the density by more than 10 %"
     speed, wall = _through_wall(driving)
@@ -220,11 +220,10 @@ def _through_wall(driving: Driving) -> tuple[float, str]:
         with suppress(ValueError):  # no fluid touches this wall
             place = scene.places.edge(name)
             normal = scene.domain.distance_and_normal(place)[1]
-            across = np.abs(np.sum(driving.initial(place)[:, :2] * normal, axis=1))
-            x, y = place[np.argmax(across)]
+            across = np.abs(np.sum(driving.initial(place)[:, :-1] * normal, axis=1))
             if across.max() > largest:
                 largest = float(across.max())
-                where = f"{name} at ({x:.4g}, {y:.4g}) m"
+                where = f"{name} at {in_words(place[np.argmax(across)], '.4g')} m"
     return largest, where
 
 

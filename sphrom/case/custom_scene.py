@@ -19,11 +19,12 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.arrays import Array
 from sphrom.case import custom_checks
 from sphrom.case.custom_sections import (
+    BoxSection,
     InflowSection,
+    MovingWallSection,
     Porous,
     Rate,
     SurfaceFluid,
-    Value,
     Vector,
 )
 from sphrom.case.driving import (
@@ -32,13 +33,14 @@ from sphrom.case.driving import (
     Driving,
     at_places,
 )
-from sphrom.case.fields import Coordinate, Place, Positive, SafeName, Section, key
+from sphrom.case.fields import Coordinate, Positive, SafeName, key
 from sphrom.case.functions import Digest, function_of
 from sphrom.case.measure_sections import MEASURE, Measures
 from sphrom.case.points import REYNOLDS
 from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection, Settings
 from sphrom.case.shapes import Shape, ShapeSection
 from sphrom.case.slowing import Slowing
+from sphrom.case.space_checks import check_axes
 from sphrom.case.tables import Histories, InitialSection
 from sphrom.scenes.expressions import CALLED, CONSTANTS, FUNCTIONS, Function
 from sphrom.scenes.flows import CustomFlow, Scales, Scene
@@ -47,6 +49,7 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import NONE, Strip
 from sphrom.sph.places import Places
 from sphrom.sph.polygons import connects_images
+from sphrom.sph.space_box import SpaceBox
 from sphrom.sph.terms import Term
 
 MOST_PLACES = 200_000
@@ -55,25 +58,6 @@ MOST_SETTINGS = 64
 """Most values of the parameters, evenly chosen, at which slow checks are made."""
 MOST_KNOWN = 4000
 """Most values of the parameters with a cached driving."""
-
-
-class BoxSection(Section):
-    """The box that contains the flow."""
-
-    lower: Place = key((0.0, 0.0), "lower left corner", unit="m")
-    upper: Place = key((1.0, 1.0), "upper right corner", unit="m")
-    periodic: tuple[Literal["x", "y"], ...] = key((), "periodic axes")
-
-
-class MovingWallSection(Section):
-    """The motion of a wall along itself."""
-
-    velocity: Vector | None = key(None, "velocity, numbers or expressions in x, y, t", unit="m/s")
-    rotation: Value | None = key(
-        None,
-        "rate of rotation about its centroid, anticlockwise, a number or an expression in t",
-        unit="rad/s",
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +69,7 @@ class Runs:
     until: float = 0.0
     """The end of runs [s]."""
     places: Array = field(default_factory=lambda: np.empty((0, 2)))
-    """Places of particles (n_places, 2) [m]."""
+    """Places of particles (n_places, n_dim) [m]."""
 
 
 NO_RUNS = Runs()
@@ -104,7 +88,9 @@ class CustomScene(SceneSection):
     box: BoxSection = key(BoxSection(), "the box that contains the flow")
     solids: dict[SafeName, Shape] = key({}, "solids in the box, by name")
     walls: dict[SafeName, MovingWallSection] = key(
-        {}, "moving walls: sides of the box (left, right, bottom, top) and solids, by name"
+        {},
+        "moving walls: sides of the box (left, right, bottom, top, and in space back, front) and "
+        "solids, by name",
     )
     constants: dict[SafeName, Coordinate] = key({}, "constants for expressions, by name")
     histories: dict[SafeName, Histories] = key(
@@ -117,7 +103,7 @@ class CustomScene(SceneSection):
         {}, "digests of terms of the acceleration by kind, which only sphrom.Flow gives"
     )
     body_force: Vector = key(
-        (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
+        (0.0, 0.0), "acceleration, numbers or expressions in x, y (and z) and t", unit="m/s2"
     )
     fluid: SurfaceFluid | None = key(
         None, "the part of the box that fluid with a free surface fills; null fills all of it"
@@ -138,7 +124,7 @@ class CustomScene(SceneSection):
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
         """Refuse inconsistent keys, and scenes that can't be built."""
-        reserved = ("x", "y", "t", REYNOLDS, *CONSTANTS, *FUNCTIONS, *CALLED)
+        reserved = (*self.axes, "t", REYNOLDS, *CONSTANTS, *FUNCTIONS, *CALLED)
         taken = set[str]()
         for kind in ("constants", "histories", "functions"):
             for name in getattr(self, kind):
@@ -155,6 +141,7 @@ class CustomScene(SceneSection):
                 names = ", ".join(self.domain.wall_names) or "none"
                 raise ValueError(f"walls.{name}: there is no such wall; the walls are {names}")
         _ = self.domain
+        check_axes(self)
         if self.slip == "free" and self.walls:
             raise ValueError("slip: moving walls need friction; set slip: none")
         if self.fluid is not None:
@@ -189,6 +176,16 @@ class CustomScene(SceneSection):
 
     # Geometry
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The names of coordinates in expressions."""
+        return ("x", "y", "z")[: len(self.box.lower)]
+
+    @property
+    def acceleration(self) -> tuple[float | str, ...]:
+        """The components of the body force along all axes."""
+        return self.body_force if any(self.body_force) else (0.0,) * len(self.axes)
+
     @cached_property
     def shapes(self) -> dict[str, BaseGeometry]:
         """The solids by name."""
@@ -199,10 +196,14 @@ class CustomScene(SceneSection):
         """The box less its solids."""
         lower = self.box.lower
         upper = self.box.upper
+        if len(lower) != len(upper):
+            raise ValueError("box: lower and upper must have as many coordinates, two or three")
         if not all(low < high for low, high in zip(lower, upper, strict=True)):
-            raise ValueError("box: upper must be above lower along both axes")
-        periodic = ("x" in self.box.periodic, "y" in self.box.periodic)
+            raise ValueError("box: upper must be above lower along all axes")
+        periodic = tuple(axis in self.box.periodic for axis in self.axes)
         box: dict[str, Any] = {"lower": lower, "upper": upper, "periodic": periodic}
+        if len(lower) > 2:
+            return SpaceBox(**box)
         if not self.solids:
             return BoxDomain(**box, level=self._row_end)
         # Imported late, because it loads kernels that other scenes do not need.
@@ -256,7 +257,8 @@ class CustomScene(SceneSection):
     @cached_property
     def places(self) -> Places:
         """The places at which expressions are evaluated and checked."""
-        return Places(self.domain, self.shapes, self._runs.places)
+        places = self._runs.places.reshape(-1, self.domain.n_dim)
+        return Places(self.domain, self.shapes, places)
 
     # Drives and initial fields at values of the parameters
 
@@ -273,10 +275,12 @@ class CustomScene(SceneSection):
 
         Expressions are also checked at the places of particles with a spacing [m], and between.
         """
-        given = (*self.body_force, self.resistance)
+        given = (*self.acceleration, self.resistance)
         varied = bool(self.porous) or any(isinstance(value, str) for value in given)
-        found = [np.empty((0, 2)), *self._beside_jumps()]
-        if varied and MOST_PLACES * particle_spacing**2 > math.prod(self.domain.lengths):
+        found = [np.empty((0, self.domain.n_dim)), *self._beside_jumps()]
+        if varied and MOST_PLACES * particle_spacing**self.domain.n_dim > math.prod(
+            self.domain.lengths
+        ):
             found += [self.domain.fill(part * particle_spacing) for part in (1.0, 0.5)]
         keys = {name: getattr(self, name) for name in type(self).model_fields}
         other = self.model_construct(self.model_fields_set, **keys)
@@ -287,9 +291,9 @@ class CustomScene(SceneSection):
     def _beside_jumps(self) -> Iterator[Array]:
         """Yield places (n_places, 2) [m] beside jumps of the resistance, force and inflow."""
         here = self.at()
-        parts = [here.expression("resistance", self.resistance, "x", "y")]
-        vectors = (*self.body_force, *(self.inflow.velocity if self.inflow else ()))
-        parts += [here.expression(BODY_FORCE, part, "x", "y", "t") for part in vectors]
+        parts = [here.expression("resistance", self.resistance, *self.axes)]
+        vectors = (*self.acceleration, *(self.inflow.velocity if self.inflow else ()))
+        parts += [here.expression(BODY_FORCE, part, *self.axes, "t") for part in vectors]
         for difference in (each for part in parts for each in part.compared()):
             if difference.depends_on and "t" not in difference.depends_on:
                 yield self.places.beside(partial(at_places, difference))

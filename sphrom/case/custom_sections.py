@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import shapely
@@ -19,6 +19,7 @@ from sphrom.case.fields import (
     Coordinate,
     Duration,
     OneOf,
+    Point,
     Positive,
     Section,
     key,
@@ -42,15 +43,37 @@ def _without_tables(value: Any) -> Any:
     """Refuse mappings, which are meant as tables."""
     if any(isinstance(part, Mapping) for part in (value if isinstance(value, list) else [value])):
         raise ValueError(
-            "must be a list of 2 numbers or expressions; for a table, set scene.histories to "
+            "must be a list of numbers or expressions; for a table, set scene.histories to "
             "{sway: {file: sway.csv}}, and write sway(t) in an expression"
         )
     return value
 
 
 Vector = Annotated[
-    tuple[Value, ...], Field(min_length=2, max_length=2), BeforeValidator(_without_tables)
+    tuple[Value, ...], Field(min_length=2, max_length=3), BeforeValidator(_without_tables)
 ]
+"""A component along each axis of the box."""
+
+
+class BoxSection(Section):
+    """The box that contains the flow."""
+
+    lower: Point = key((0.0, 0.0), "lower left corner, (x, y) or (x, y, z)", unit="m")
+    upper: Point = key((1.0, 1.0), "upper right corner, with as many coordinates", unit="m")
+    periodic: tuple[Literal["x", "y", "z"], ...] = key((), "periodic axes")
+
+
+class MovingWallSection(Section):
+    """The motion of a wall along itself."""
+
+    velocity: Vector | None = key(
+        None, "velocity, numbers or expressions in x, y (and z) and t", unit="m/s"
+    )
+    rotation: Value | None = key(
+        None,
+        "rate of rotation about its centroid, anticlockwise, a number or an expression in t",
+        unit="rad/s",
+    )
 
 
 class PorousSection(ShapeSection):

@@ -20,7 +20,7 @@ from sphrom.metrics.series import shortest_period
 from sphrom.scenes.expressions import Expression, Function
 from sphrom.scenes.flows import Amplitude, BodyForce
 from sphrom.scenes.histories import History
-from sphrom.sph.places import N_SAMPLES, Places
+from sphrom.sph.places import SAMPLES, Places
 
 if TYPE_CHECKING:
     from sphrom.case.custom_scene import CustomScene
@@ -48,8 +48,8 @@ class Drive:
     """One, or none if all values are zero."""
 
     def __call__(self, position: Array) -> Array:
-        """Return the field (2, n_positions) at positions (2, n_positions) [m]."""
-        return np.stack([field(x=position[0], y=position[1]) for field in self.fields])
+        """Return the field (n_dim, n_positions) at positions (n_dim, n_positions) [m]."""
+        return np.stack([at_places(field, position) for field in self.fields])
 
     def largest(self, times: Array) -> float:
         """Return the largest size of the amplitude at times (n_times,) [s].
@@ -109,21 +109,23 @@ class Driving:
 
     @cached_property
     def start(self) -> dict[str, Expression]:
-        """The expressions of u, v and p."""
-        values = {name: getattr(self.scene.initial, name) for name in ("u", "v", "p")}
-        return {n: self.expression(f"initial.{n}", v, "x", "y") for n, v in values.items()}
+        """The expressions of u, v, in space w, and p."""
+        names = (*("u", "v", "w")[: len(self.scene.axes)], "p")
+        values = {name: getattr(self.scene.initial, name) for name in names}
+        axes = self.scene.axes
+        return {n: self.expression(f"initial.{n}", v, *axes) for n, v in values.items()}
 
     @cached_property
     def initial(self) -> Callable[[Array], Array]:
-        """A function for u, v [m/s] and p [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
+        """A function for velocity [m/s] and pressure [Pa] (n_points, n_dim + 1) at positions."""
         section = self.scene.initial
         places = self.scene.places
         if section.file is not None:
             return lambda position: section.table(position)
 
         def at(position: Array) -> Array:
-            x, y = places.wrapped(position.T)
-            return np.stack([part(x=x, y=y) for part in self.start.values()], axis=1)
+            place = places.wrapped(position.T)
+            return np.stack([at_places(part, place) for part in self.start.values()], axis=1)
 
         for name, values in zip(self.start, at(places.samples).T, strict=True):
             require_finite(f"initial.{name}", values, places.samples)
@@ -160,11 +162,12 @@ class Driving:
     def walls(self) -> dict[str, Drive]:
         """The velocities, or rates of rotation, of moving walls, by their names."""
         walls = {}
+        axes = self.scene.axes
         for name, wall in self.scene.walls.items():
             if wall.velocity is None:
                 drive = self._drive(f"walls.{name}.rotation", [wall.rotation or 0.0], "t")
             else:
-                drive = self._drive(f"walls.{name}.velocity", wall.velocity, "x", "y", "t")
+                drive = self._drive(f"walls.{name}.velocity", wall.velocity, *axes, "t")
             _require_one(drive.key, drive.amplitudes)
             walls[name] = drive
         return walls
@@ -175,9 +178,9 @@ class Driving:
         if self.scene.has_surface:
             return {}  # components may have different amplitudes
         inflow = self.scene.inflow
-        given = {BODY_FORCE: self.scene.body_force, INFLOW: inflow.velocity if inflow else ()}
+        given = {BODY_FORCE: self.scene.acceleration, INFLOW: inflow.velocity if inflow else ()}
         return {
-            name: self._drive(KEYS[name], values, "x", "y", "t")
+            name: self._drive(KEYS[name], values, *self.scene.axes, "t")
             for name, values in given.items()
             if any(value != 0.0 for value in values)
         }
@@ -280,11 +283,12 @@ class Driving:
     def signals(self) -> Iterator[tuple[str, Callable[[Array], Array]]]:
         """Yield functions for the driving (n_places, n_times) at times (n_times,) [s], by key."""
         samples = self.scene.places.samples
-        x, y = samples[:: len(samples) // N_PLACES + 1].T[..., None]
+        axes = self.scene.axes
+        places = samples[:: len(samples) // N_PLACES + 1].T[..., None]
         for key, part in self.timed():
-            n_places = len(x) if part.depends_on & {"x", "y"} else 1
+            shown = places if part.depends_on & set(axes) else places[:, :1]
             if "t" in part.depends_on:
-                yield key, partial(_at_times, part, x=x[:n_places], y=y[:n_places])
+                yield key, partial(_at_times, part, **dict(zip(axes, shown, strict=True)))
 
     @cached_property
     def shortest_period(self) -> float:
@@ -338,9 +342,10 @@ class Driving:
         else:
             field = push(samples.T)
             if domain.fills_box:
-                rows = field.reshape(2, N_SAMPLES + 1, -1)
+                n_dim = domain.n_dim
+                rows = field.reshape(n_dim, *(SAMPLES[n_dim] + 1,) * n_dim)
                 for axis in np.flatnonzero(domain.periodic):  # a mean adds no pressure there
-                    rows[axis] -= rows[axis].mean(axis=1 - axis, keepdims=True)
+                    rows[axis] -= rows[axis].mean(axis=n_dim - 1 - axis, keepdims=True)
             largest = float(np.dot(domain.lengths, np.abs(field).max(axis=1, initial=0.0)))
             largest *= float(np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # other values are refused
@@ -350,17 +355,22 @@ class Driving:
         if math.isfinite(self.level) or not self.scene.domain.fills_box:
             return np.abs(force).max(axis=1)
         # One-way means along lines: forces to a centre press from both sides.
-        ways = np.maximum((force, -force), 0.0).reshape(2, 2, N_SAMPLES + 1, -1)
+        ways = np.maximum((force, -force), 0.0).reshape(2, 2, SAMPLES[2] + 1, -1)
         return np.array([ways[:, axis].mean(axis=-1 - axis).max() for axis in range(2)])
 
 
 def require_finite(key: str, values: Array, place: Array) -> None:
     """Raise ValueError if values (n_places, ...) at places aren't finite, or too large."""
     good = (np.abs(values) <= LARGEST).reshape(len(values), -1).all(axis=1)
-    for value, (x, y) in zip(values[~good][:1], place[~good], strict=False):
+    for value, where in zip(values[~good][:1], place[~good], strict=False):
         finite = np.isfinite(value).all()
         problem = f"above {LARGEST:g} in size" if finite else "not a finite number"
-        raise ValueError(f"{key}: is {problem} at ({x:g}, {y:g}) m")
+        raise ValueError(f"{key}: is {problem} at {in_words(where)} m")
+
+
+def in_words(place: Array, digits: str = "g") -> str:
+    """Return the coordinates (n_dim,) [m] of a place in parentheses."""
+    return f"({', '.join(format(coordinate, digits) for coordinate in place)})"
 
 
 def finite_peak(key: str, places: Places, size: Callable[[Array], Array]) -> tuple[float, Array]:
@@ -376,8 +386,8 @@ def largest_norm(velocity: Array) -> float:
 
 
 def at_places(field: Expression, position: Array) -> Array:
-    """Return a field (n_positions,) at positions (2, n_positions) [m]."""
-    return field(x=position[0], y=position[1])
+    """Return a field (n_positions,) at positions (n_dim, n_positions) [m]."""
+    return field(**dict(zip("xyz", position, strict=False)))
 
 
 def _at_times(part: Expression, times: Array | float, **place: Array) -> Array:
@@ -392,5 +402,5 @@ def _remembered(series: Callable[[float], Array | float]) -> Amplitude:
 def _require_one(keys: str, amplitudes: Mapping[str, Expression]) -> None:
     if len(amplitudes) > 1:
         texts = " and ".join(amplitudes)
-        reason = f"both components must have the same amplitude in time; got {texts}"
+        reason = f"all components must have the same amplitude in time; got {texts}"
         raise ValueError(f"{keys}: {reason}")

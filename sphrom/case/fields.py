@@ -28,6 +28,8 @@ Positive = Annotated[Number, Field(ge=SMALLEST, le=LARGEST)]
 Coordinate = Annotated[Number, Field(ge=-LARGEST, le=LARGEST)]
 Place = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
 """The coordinates x and y."""
+Point = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=3)]
+"""The coordinates x and y, and z in three dimensions."""
 Duration = Annotated[Number, Field(ge=0.0, le=LARGEST)]
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]

@@ -19,7 +19,7 @@ from sphrom.case.fields import (
     Coordinate,
     Duration,
     OneOf,
-    Place,
+    Point,
     Positive,
     SafeName,
     Section,
@@ -27,9 +27,9 @@ from sphrom.case.fields import (
     key,
 )
 from sphrom.metrics.measures import FieldMeasure, FlowRate, Integral, Quantities
-from sphrom.metrics.quantities import COEFFICIENT, OF_WALLS
+from sphrom.metrics.quantities import AXES, COEFFICIENT, OF_WALLS
 from sphrom.sph.domain import Domain
-from sphrom.text import exact
+from sphrom.text import exact, place_text
 
 if TYPE_CHECKING:
     from sphrom.case.models import Case
@@ -90,7 +90,10 @@ class RecordedMeasure(MeasureSection):
 
 
 class CoefficientSection(Section):
-    """The scales of the coefficient C of a force F = C rho U^2 L / 2 per metre of depth."""
+    """The scales of the coefficient C of a force F = C rho U^2 L / 2 per metre of depth.
+
+    In three dimensions F = C rho U^2 L^2 / 2.
+    """
 
     speed: Positive = key(..., "reference speed U", unit="m/s")
     length: Positive = key(..., "reference length L", unit="m")
@@ -102,7 +105,9 @@ class ForceMeasure(RecordedMeasure):
     folder: ClassVar[str] = "force"
 
     force_on: SafeName = key(
-        ..., "wall: its force, and its torque about its centroid; for a side, the box's centre"
+        ...,
+        "wall: its force, and its torque about its centroid; for a side, the box's centre; in "
+        "three dimensions the force alone",
     )
     coefficient: CoefficientSection | None = key(
         None, "scales of the force's coefficient, which is then measured beside the force"
@@ -134,7 +139,7 @@ class FieldsMeasure(RecordedMeasure):
     """Whether it has a positive direction, to the right of its segment."""
 
     @property
-    def ends(self) -> tuple[Place, Place]:
+    def ends(self) -> tuple[Point, Point]:
         """The ends of the segment [m]; the same place twice for a point."""
         segment = getattr(self, MEASURES.kind_of(self))
         return segment.start, segment.end
@@ -144,6 +149,8 @@ class FieldsMeasure(RecordedMeasure):
         """Return the places and integrals that are measured, at a spacing [m]."""
 
     def problem(self, case: Case) -> str | None:
+        if (problem := self._shape_problem(case.scene.domain)) is not None:
+            return problem
         start, end = np.array(self.ends)
         spacing = case.plan.particle_spacing
         length = math.dist(start, end)
@@ -153,6 +160,12 @@ class FieldsMeasure(RecordedMeasure):
         places = start + np.linspace(0.0, 1.0, number)[:, None] * (end - start)
         return outside_fluid(case.scene.domain, places, spacing)
 
+    def _shape_problem(self, domain: Domain) -> str | None:
+        """Return why its places don't fit the dimensions of the domain, or None."""
+        axes = ", ".join(AXES[: domain.n_dim])
+        wrong = [end for end in self.ends if len(end) != domain.n_dim]
+        return f"a place has the coordinates {axes} here; got {list(wrong[0])}" if wrong else None
+
 
 class SegmentSection(Section):
     """A straight segment in the fluid; its ends may be on walls."""
@@ -160,8 +173,8 @@ class SegmentSection(Section):
     # `from` is a keyword of Python.
     model_config = ConfigDict(serialize_by_alias=True)
 
-    start: Place = key(..., "start of the segment", unit="m", alias="from")
-    end: Place = key(..., "end of the segment", unit="m", alias="to")
+    start: Point = key(..., "start of the segment", unit="m", alias="from")
+    end: Point = key(..., "end of the segment", unit="m", alias="to")
 
 
 class LineSection(SegmentSection):
@@ -180,11 +193,19 @@ class FlowRateMeasure(FieldsMeasure):
     flow_rate: SegmentSection = key(
         ...,
         "segment: the flow rate through it, positive from its left to its right side; a segment "
-        "that goes up counts flow along x as positive",
+        "that goes up counts flow along x as positive; in three dimensions opposite corners of a "
+        "rectangle perpendicular to an axis: the flow rate along this axis",
     )
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
-        return FlowRate(np.array(self.ends), particle_spacing)
+        return FlowRate.through(np.array(self.ends), particle_spacing)
+
+    def _shape_problem(self, domain: Domain) -> str | None:
+        if (problem := super()._shape_problem(domain)) is not None or domain.n_dim == 2:
+            return problem
+        if np.count_nonzero(np.subtract(*self.ends)) == 2:
+            return None
+        return "its corners must be equal along one axis, and differ along the two others"
 
 
 class IntegralMeasure(FieldsMeasure):
@@ -207,17 +228,20 @@ class ProbeMeasure(FieldsMeasure):
     title: ClassVar[str] = "probes"
     quantities: ClassVar[tuple[str, ...]] = ("velocity", "pressure")
 
-    probe: Place = key(..., "point: its velocity and pressure", unit="m")
+    probe: Point = key(..., "point: its velocity and pressure", unit="m")
 
     @property
-    def ends(self) -> tuple[Place, Place]:
+    def ends(self) -> tuple[Point, Point]:
         return self.probe, self.probe
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
         return FieldMeasure(np.array([self.probe]))
 
     def problem(self, case: Case) -> str | None:
-        return outside_fluid(case.scene.domain, np.array([self.probe]), case.plan.particle_spacing)
+        domain = case.scene.domain
+        place = np.array([self.probe])
+        spacing = case.plan.particle_spacing
+        return self._shape_problem(domain) or outside_fluid(domain, place, spacing)
 
 
 class LineMeasure(FieldsMeasure):
@@ -340,10 +364,10 @@ class FrequencyMeasure(MeasureSection):
 
 
 def outside_fluid(domain: Domain, place: Array, particle_spacing: float) -> str | None:
-    """Return a problem if one of some places (n_places, 2) is out of the box or in a solid."""
+    """Return a problem if one of some places (n_places, n_dim) is out of the box or in a solid."""
     beyond = (place < np.array(domain.lower)) | (place > np.array(domain.upper))
-    for x, y in place[beyond.any(axis=1)][:1]:
-        return f"({x:g}, {y:g}) m is outside of the box"
+    for first in place[beyond.any(axis=1)][:1]:
+        return f"{place_text(first)} m is outside of the box"
     in_solid = domain.distance_and_normal(place)[0] < -WITHIN_WALL * particle_spacing
     for x, y in place[in_solid][:1]:
         turns = np.flatnonzero(np.diff(~in_solid, prepend=False, append=False)).reshape(-1, 2)

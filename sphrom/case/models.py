@@ -21,7 +21,8 @@ from sphrom.case.fields import SafeName, Section, key
 from sphrom.case.model_sections import AnyModel
 from sphrom.case.plan import Plan
 from sphrom.case.points import ParameterSection
-from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of, with_defaults
+from sphrom.case.scene_section import IN_SPACE
+from sphrom.case.scenes import DEFAULTS, AnyScene, is_in_space, kind_of, with_defaults
 from sphrom.case.sections import (
     BasisSection,
     CompareSection,
@@ -96,6 +97,8 @@ class Case(Section):
         filled.setdefault("scene", {})
         if isinstance(filled["scene"], Mapping) and filled["scene"].get("fluid") is not None:
             filled = with_defaults(filled, SURFACE_DEFAULTS)
+        if is_in_space(filled["scene"]):
+            filled = with_defaults(filled, IN_SPACE)
         return with_defaults(filled, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")

@@ -18,7 +18,7 @@ from sphrom.case.plan_times import TimesPlan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import SubsetSection
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import midpoints
+from sphrom.metrics.grids import midpoints
 from sphrom.reduction.stream_functions import StreamSpace
 
 MOST_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2

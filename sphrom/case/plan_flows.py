@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,10 +17,12 @@ from sphrom.case.fields import LARGEST
 from sphrom.case.plan_points import PointsPlan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
-from sphrom.metrics.measures import grid_points
+from sphrom.kernels import SUPPORT_RATIO
+from sphrom.metrics.grids import grid_points
 from sphrom.scenes.flows import Scales, Scene
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid, Strip
+from sphrom.sph.space_box import SpaceBox
 
 if TYPE_CHECKING:
     from sphrom.case.scene_section import SceneSection
@@ -68,6 +71,12 @@ class FlowsPlan(PointsPlan):
         """h [m]."""
         return self._case.discretization.smoothing_length_ratio * self.particle_spacing
 
+    @property
+    def n_neighbours(self) -> float:
+        """Average number of particles in a kernel's support."""
+        radius = SUPPORT_RATIO * self.smoothing_length / self.particle_spacing
+        return math.pi * radius**2 * (1.0 if self._scene.domain.n_dim == 2 else 4.0 / 3.0 * radius)
+
     @cached_property
     def reference_smoothing_length(self) -> float:
         """h of the map onto the reference space [m]."""
@@ -99,7 +108,7 @@ class FlowsPlan(PointsPlan):
     def walls_fit_lattice(self) -> bool:
         """Whether all walls of the scene lie along the axes, so that a lattice fits them."""
         domain = self._scene.domain
-        return isinstance(domain, BoxDomain) and domain.has_walls
+        return isinstance(domain, BoxDomain | SpaceBox) and domain.has_walls
 
     @cached_property
     def packed(self) -> bool:
@@ -143,17 +152,28 @@ class FlowsPlan(PointsPlan):
         nearest = sorted(places, key=lambda x: abs(x - usual))
         return next(filter(domain.sections, (usual, *nearest)), usual)
 
-    def _beside_box(self, step: float) -> Array:
-        """Return places (n_places, 2) [m] just outside the box, at most a step apart [m]."""
+    def _beside_box(self, step: float) -> list[Array]:
+        """Return paths (n_places, n_dim) [m] just outside the box, in steps of at most one [m].
+
+        In space there are three, each around a slice through the middle.
+        """
         domain = self._scene.domain
-        box = shapely.box(*domain.lower, *domain.upper)
-        edge = box.buffer(BEYOND * self.particle_spacing, join_style="mitre").exterior
-        return shapely.get_coordinates(shapely.segmentize(edge, step))
+        middle = 0.5 * np.add(domain.lower, domain.upper)
+        paths = []
+        for axes in combinations(range(domain.n_dim), 2):
+            corners = [[ends[axis] for axis in axes] for ends in (domain.lower, domain.upper)]
+            box = shapely.box(*corners[0], *corners[1])
+            edge = box.buffer(BEYOND * self.particle_spacing, join_style="mitre").exterior
+            around = shapely.get_coordinates(shapely.segmentize(edge, step))
+            path = np.tile(middle, (len(around), 1))
+            path[:, axes] = around
+            paths.append(path)
+        return paths
 
     @cached_property
     def mass(self) -> float:
-        """The mass of a particle, per metre of depth [kg/m]."""
-        return self._fluid.reference_density * self.particle_spacing**2
+        """The mass of a particle [kg], in a plane per metre of depth [kg/m]."""
+        return self._fluid.reference_density * self.particle_spacing**self._scene.domain.n_dim
 
     def depth(self, point: ParameterPoint) -> float:
         """Return the mean depth of fluid with a free surface at a parameter point [m]."""
@@ -221,12 +241,14 @@ class FlowsPlan(PointsPlan):
     def _largest_jump(self) -> float:
         """The largest change of the walls' velocity around the box within a spacing [m/s]."""
         domain = self._scene.domain
-        place = self._beside_box(self.particle_spacing)
-        of_walls = domain.distance_and_normal(place)[0] <= 0.0
         points = {point.others: point for point in self.points}.values()
-        velocities = (self.flow(point).wall_velocity(place) for point in points)
-        jumps = (np.diff(np.where(of_walls, v.T, np.nan)) for v in velocities)
-        largest = max(float(np.nanmax(np.hypot(*jump), initial=0.0)) for jump in jumps)
+        largest = 0.0
+        for place in self._beside_box(self.particle_spacing):
+            of_walls = domain.distance_and_normal(place)[0] <= 0.0
+            velocities = (self.flow(point).wall_velocity(place) for point in points)
+            jumps = (np.diff(np.where(of_walls, v.T, np.nan)) for v in velocities)
+            sizes = (float(np.nanmax(np.hypot.reduce(jump), initial=0.0)) for jump in jumps)
+            largest = max(largest, *sizes)
         return largest * self._scene.largest_amplitude(self._time.final_time)
 
     @cached_property
@@ -311,7 +333,7 @@ class FlowsPlan(PointsPlan):
         if any(term.acceleration is not None for term in flow.terms):
             return True  # it may be any force
         domain = scene.domain
-        place = grid_points(domain.lower, domain.upper, (N_PLACES, N_PLACES))
+        place = grid_points(domain.lower, domain.upper, (N_PLACES,) * domain.n_dim)
         fluid = place[domain.contains(place)]
         if scene.has_surface and not math.isfinite(scene.level_at(point.factors)):
             return True  # a shape falls, or moves by its own pressure
@@ -319,11 +341,12 @@ class FlowsPlan(PointsPlan):
             return True
         if not (after_start or scene.has_surface) and flow.initial_pressure(fluid).any():
             return True
-        beside = np.concatenate((place, self._beside_box(max(domain.lengths) / N_PLACES)))
+        beside = np.concatenate((place, *self._beside_box(max(domain.lengths) / N_PLACES)))
         if domain.has_walls and flow.wall_velocity(beside).any():
             return True
         if (force := flow.body_force) is None:
             return False
         times = np.linspace(0.0, self._time.final_time, N_INSTANTS)
-        weight = np.array([[0.0], [scene.gravity]])
+        weight = np.zeros((domain.n_dim, 1))
+        weight[1] = scene.gravity
         return any((force(fluid.T, float(time)) + weight).any() for time in times)

@@ -42,14 +42,18 @@ class TimesPlan(FlowsPlan):
         scene = self.scene
         sharpness = self._sharpest_corner
         slowing = scene.largest_resistance(self.kinematic_viscosity(point))
+        # Images behind plane walls make no waves or friction that particles have not.
+        has_ghosts = scene.domain.has_walls and scene.domain.n_dim == 2
         return fluid.step_limits(
-            self.fluid(point), self.discretization, scene.domain.has_walls, sharpness, slowing
+            self.fluid(point), self.discretization, has_ghosts, sharpness, slowing
         )
 
     @cached_property
     def _sharpest_corner(self) -> float:
         """The sharpness of the sharpest corner that points into the fluid, 0 without corners."""
         domain = self._scene.domain
+        if domain.fills_box:
+            return 0.0
         sharpness = jutting_corners(domain.fluid_with_images, self.particle_spacing)[1]
         return float(sharpness.max(initial=0.0))
 
@@ -170,7 +174,10 @@ class TimesPlan(FlowsPlan):
         density = self._fluid.reference_density
         measures = self._scene.measure.items()
         scales = ((n, m.coefficient) for n, m in measures if isinstance(m, ForceMeasure))
-        return {n: 2.0 / (density * c.speed**2 * c.length) for n, c in scales if c is not None}
+        n_across = self._scene.domain.n_dim - 1
+        return {
+            n: 2.0 / (density * c.speed**2 * c.length**n_across) for n, c in scales if c is not None
+        }
 
 
 def lengthened(steps: TimeSteps, final_time: float) -> TimeSteps:

@@ -36,6 +36,11 @@ OF_WALLS: Defaults = {
     "compare": {"exact": False},
 }
 """Defaults of other sections for scenes with walls."""
+IN_SPACE: Defaults = {
+    "discretization": {"smoothing_length_ratio": 2.0, "resolution": 32},
+    "reference": {"points": "lattice"},
+}
+"""Defaults of other sections for scenes in three dimensions."""
 
 
 class SceneSection(Section):
@@ -209,7 +214,7 @@ class SceneSection(Section):
         """The recorded histories, by column name."""
         columns: dict[str, Column] = {}
         for name, measured in self.recorded.items():
-            columns |= Column.named(name, measured.quantities)
+            columns |= Column.named(name, measured.quantities, self.domain.n_dim)
         return columns
 
     def starts_by(self, name: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -14,7 +15,7 @@ from sphrom.arrays import Array
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.case.measure_sections import MEASURE, Measures
-from sphrom.case.scene_section import OF_WALLS, Defaults, SceneSection
+from sphrom.case.scene_section import IN_SPACE, OF_WALLS, Defaults, SceneSection
 from sphrom.scenes import flows
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
 from sphrom.sph.fluid import NONE, Fluid
@@ -46,10 +47,30 @@ class TaylorGreenScene(SceneSection):
         )
 
 
+class TaylorGreen3DScene(SceneSection):
+    """The Taylor-Green vortex in a periodic cube."""
+
+    title: ClassVar[str] = "The Taylor-Green vortex in three dimensions"
+    defaults: ClassVar[Defaults] = {**IN_SPACE, "compare": {"exact": False}}
+
+    kind: Literal["taylor-green-3d"] = key(..., "kind of flow")
+    length: Positive = key(2.0 * math.pi, "side of the periodic cube", unit="m")
+    measure: Measures = MEASURE
+
+    def flow(self, scales: flows.Scales) -> flows.Scene:
+        return flows.TaylorGreen3D(self.length, scales.speed, scales.density)
+
+    @property
+    def length_scale(self) -> float:
+        """L of the Reynolds number, with which the wave number is one [m]."""
+        return self.length / (2.0 * math.pi)
+
+
 class LidDrivenCavityScene(SceneSection):
     """The lid-driven cavity: a closed square box whose top wall moves (section 4.2)."""
 
     title: ClassVar[str] = "The lid-driven cavity"
+    cavity: ClassVar[type[flows.LidDrivenCavity]] = flows.LidDrivenCavity
     defaults: ClassVar[Defaults] = {
         **OF_WALLS,
         "time": {"final_time": 10.0},
@@ -72,7 +93,7 @@ class LidDrivenCavityScene(SceneSection):
 
     def flow(self, scales: flows.Scales) -> flows.Scene:
         speed = scales.values.get("lid", scales.speed)
-        return flows.LidDrivenCavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
+        return self.cavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
 
     @property
     def ramp(self) -> float:
@@ -103,6 +124,16 @@ class LidDrivenCavityScene(SceneSection):
             end = exact(final_time)
             ramp = exact(self.lid_ramp)
             yield "lid_ramp", f"must end before time.final_time, {end} s; got {ramp}"
+
+
+class LidDrivenCubeScene(LidDrivenCavityScene):
+    """The lid-driven cavity in three dimensions: a closed cube whose top wall moves along x."""
+
+    title: ClassVar[str] = "The lid-driven cube"
+    cavity: ClassVar[type[flows.LidDrivenCavity]] = flows.LidDrivenCube
+    defaults: ClassVar[Defaults] = {**LidDrivenCavityScene.defaults, **IN_SPACE}
+
+    kind: Literal["lid-driven-cube"] = key(..., "kind of flow")  # type: ignore[assignment]
 
 
 class BodyForceSection(Section):
@@ -201,7 +232,14 @@ class OpenCavityScene(SceneSection):
         return profiles_for(self.kind, None, reynolds)
 
 
-AnyScene = TaylorGreenScene | LidDrivenCavityScene | OpenCavityScene | CustomScene
+AnyScene = (
+    TaylorGreenScene
+    | TaylorGreen3DScene
+    | LidDrivenCavityScene
+    | LidDrivenCubeScene
+    | OpenCavityScene
+    | CustomScene
+)
 """Every kind of scene that a case can have."""
 
 
@@ -227,6 +265,13 @@ def with_defaults(values: Any, defaults: Defaults) -> Any:
         else:
             merged.setdefault(name, default)
     return merged
+
+
+def is_in_space(scene: Any) -> bool:
+    """Return whether a scene's plain values have a box of three axes."""
+    box = scene.get("box") if isinstance(scene, Mapping) else None
+    lower = box.get("lower") if isinstance(box, Mapping) else None
+    return isinstance(lower, list | tuple) and len(lower) == 3
 
 
 def kind_of(case: Any) -> str:

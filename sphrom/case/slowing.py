@@ -17,7 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array
 from sphrom.case.driving import at_places, finite_peak, require_finite
-from sphrom.metrics.measures import midpoints
+from sphrom.metrics.grids import midpoints
 from sphrom.sph.fluid import Resistance
 from sphrom.sph.places import N_SAMPLES
 

@@ -52,6 +52,8 @@ def _figure_problems(case: Case, figure: OfModes | OfRuns) -> Found:
     start = case.time.spin_up
     end = case.time.final_time
     if isinstance(figure, OfModes):
+        if getattr(figure, "field", "") == "z-velocity" and case.scene.domain.n_dim == 2:
+            yield "field", "must be density, x-velocity or y-velocity; the scene has no z"
         return
     for names, (_, points) in zip(figure.runs, studies.rows_of(case, figure), strict=True):
         missing = set(figure.reynolds or ()) - {point.reynolds for point in points}

@@ -215,7 +215,9 @@ class ModeFigure(_Figure):
     kind: Literal["modes"] = key(..., "modes in both spaces")
     basis: SafeName = key("all", "name of the basis")
     modes: Modes = key(..., "numbers of the modes, counted from 1")
-    field: Literal["density", "x-velocity", "y-velocity"] = key("density", "field of the modes")
+    field: Literal["density", "x-velocity", "y-velocity", "z-velocity"] = key(
+        "density", "field of the modes; z-velocity in three dimensions"
+    )
 
 
 OfRuns = FieldFigure | LineFigure | ErrorFigure

@@ -189,12 +189,13 @@ Histories = Annotated[HistorySection, OneOf(file=MeasuredSection, times=KnotsSec
 
 
 class InitialSection(TableSection):
-    """The initial fields of runs: numbers or expressions in x, y, or a file of points."""
+    """The initial fields of runs: numbers or expressions in x, y (and z), or a file of points."""
 
     path: ClassVar[str] = "initial.file"
 
     u: Value = key(0.0, "velocity along x", unit="m/s")
     v: Value = key(0.0, "velocity along y", unit="m/s")
+    w: Value = key(0.0, "velocity along z, in a box of three axes", unit="m/s")
     p: Value = key(0.0, "pressure", unit="Pa")
     file: str | None = key(
         None,
@@ -205,8 +206,10 @@ class InitialSection(TableSection):
 
     @model_validator(mode="after")
     def _file_alone(self) -> InitialSection:
-        if self.file is not None and any(value != 0.0 for value in (self.u, self.v, self.p)):
-            raise ValueError("file can't be combined with u, v and p; give one or the other")
+        if self.file is not None and any(
+            value != 0.0 for value in (self.u, self.v, self.w, self.p)
+        ):
+            raise ValueError("file can't be combined with u, v, w and p; give one or the other")
         return self
 
     @classmethod

@@ -25,7 +25,10 @@ from sphrom.whole_files import open_to_write
 cases = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
 )
-KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom (a flow of your own)."
+KINDS = (
+    "One of taylor-green, taylor-green-3d, lid-driven-cavity, lid-driven-cube, open-cavity, or "
+    "custom (a flow of your own)."
+)
 Output = Annotated[Path | None, option("FILE", "Write to this file.", "--output", "-o")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
 

@@ -50,8 +50,8 @@ ROLES = {
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
 Row = TypeVar("Row", ErrorRow, EstimateRow, MeasureRow, OscillationRow)
-LOADS = "force_x", "force_y", "torque"
-"""Components of a measured force, with its torque."""
+LOADS = "force_x", "force_y", "force_z", "torque"
+"""Components of a measured force, with its torque in a plane."""
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,11 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.compare.comparison_tables import SpectrumRow
+from sphrom.metrics.grids import Slices
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.models.contract import basis_used
-from sphrom.plots.panels import Curve, Field, Frame, Panel, draw_grid
+from sphrom.plots.frames import Frame
+from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.setup.draw import solids_within
 from sphrom.store.workspace import Workspace
 
@@ -25,7 +27,7 @@ SPACES = {
     "Lagrangian": ("lagrangian", "lagrangian_position"),
 }
 """Spaces of modes, with the groups of their modes and points in the artifact of the bases."""
-COMPONENTS = {"x-velocity": 0, "y-velocity": 1}
+COMPONENTS = {"x-velocity": 0, "y-velocity": 1, "z-velocity": 2}
 MOST_MODES = 10
 """Most pictures of modes in a row."""
 SMALLEST_RATIO, SMALLEST_SHARE = 1e-12, 1e-10
@@ -36,8 +38,9 @@ SPECTRUM = ("singular value, relative to the first [–]", "later singular value
 def frame_of(case: Case) -> Frame:
     """Return the part of the plane that pictures of a case show."""
     box = case.scene.domain
-    extent = (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
-    return Frame(extent, None if box.fills_box else solids_within(box, extent))
+    slices = Slices(box.lower, box.upper)
+    solids = None if box.fills_box else solids_within(box, slices.extent)
+    return Frame(slices.extent, solids, None if slices.is_plane else slices)
 
 
 def model_sizes(workspace: Workspace, basis: str) -> list[int]:
@@ -135,7 +138,8 @@ def draw_modes(workspace: Workspace, basis: str) -> Figure:
     if number > most:  # the first modes, and some of the others
         numbers = sorted({round(m) for m in np.geomspace(1, number, most)})
     rows = []
-    for field in ("density", *COMPONENTS):
+    n_dim = workspace.case.scene.domain.n_dim
+    for field in ("density", *list(COMPONENTS)[:n_dim]):
         spaces = mode_fields(workspace, basis, field, numbers)
         rows.append(list(chain.from_iterable(spaces.values())))
     return draw_grid(rows, frame_of(workspace.case))

@@ -212,6 +212,7 @@ class _PointComparison:
             estimates or {},
             with_weight=plan.with_weight,
             averages=sound_averages(self.case),
+            n_dim=self.case.scene.domain.n_dim,
             n_modes=run.n_modes,
             **self._described(run),
         ):

@@ -27,10 +27,11 @@ from sphrom.compare.comparison_tables import Tables
 from sphrom.compare.stored_comparison import StoredComparison
 from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import Samples
-from sphrom.metrics.quantities import MEASURABLE, components
+from sphrom.metrics.quantities import components, unit_of
 from sphrom.models.contract import BEST, Ability, family_of
 from sphrom.models.stored_run import StoredRun
-from sphrom.plots.panels import Curve, Field, Frame, Panel, Role, draw_grid, save
+from sphrom.plots.frames import Frame
+from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
 from sphrom.setup.assembly import field_measures
 from sphrom.store.stored_run import probes_of
@@ -142,7 +143,7 @@ class RunFigures:
         panel names models that became unstable earlier.
         """
         panels = []
-        where = np.empty((0, 2))
+        where = np.empty((0, 3))
         for models, points in rows:
             for point in points:
                 where, full = self.stored.samples(None, point)
@@ -166,7 +167,8 @@ class RunFigures:
                             title += f"\nnot shown: {name}, unstable {_ended(line)}"
                     row.append(Panel(title, "y [m]", LABELS[quantity], curves))
                 panels.append(row)
-        return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m, t = {time:.4g} s")
+        at_z = "".join(f", z = {z:.4g} m" for z in where[0, 2:])
+        return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m{at_z}, t = {time:.4g} s")
 
 
 class _PointFigures(RunFigures):
@@ -216,7 +218,7 @@ class _PointFigures(RunFigures):
         """Pictures of the full run and of reduced runs at half time, by run and quantity."""
         pictures: dict[str, dict[str, Array]] = {}
         for run in self._runs():
-            samples = run.sampled(self.probes.grid, [self.middle])
+            samples = run.sampled(self.probes.pictured, [self.middle])
             wet = (samples.speed[0] != 0.0) | (samples.pressure[0] != 0.0)
             pictures[run.name] = {
                 quantity: self.probes.picture(np.where(wet, getattr(samples, quantity)[0], np.nan))
@@ -325,12 +327,13 @@ class _PointFigures(RunFigures):
         if measure is not None and is_line:
             title = f"{title}, t = {x[-1]:.4g} s"
             x_label = "along the line [m]"
-            x = np.hypot(*(measure.position - measure.position[0]).T)
+            x = np.hypot.reduce(measure.position - measure.position[0], axis=1)
+        n_dim = self.case.scene.domain.n_dim
         panels: dict[str, list[Curve]] = {}
         for run in self._runs():
             for quantity, values in run.measured(name).items():
                 for component, one in components(quantity, values).items():
-                    label = f"{component.replace('_', ' ')} [{MEASURABLE[quantity].unit}]"
+                    label = f"{component.replace('_', ' ')} [{unit_of(quantity, n_dim)}]"
                     # Flow rates and probes have a single place.
                     shown = one[-1] if is_line else one.reshape(len(x))
                     panels.setdefault(label, []).append(self.curve(run.name, x, shown))
@@ -366,7 +369,7 @@ def lettered(quantities: Sequence[str], quantity: str, title: str) -> str:
 
 
 def exact_samples(flow: TaylorGreen, points: Array, times: Array) -> Samples:
-    """Return an exact solution at points (n_points, 2) [m] and times [s]."""
+    """Return an exact solution at points (n_points, n_dim) [m] and times [s]."""
     fields = [(flow.velocity(points, t), flow.pressure(points, t)) for t in times.tolist()]
     velocity, pressure = map(np.array, zip(*fields, strict=True))
     return Samples(times, velocity, pressure)

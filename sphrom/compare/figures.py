@@ -73,7 +73,7 @@ class _Snapshot:
     remark: str = "\nunstable at the start"
     """An addition to the title if the run became unstable earlier."""
     position: Array = field(default_factory=lambda: np.empty((0, 2)))
-    """(n_points, 2) [m]."""
+    """(n_points, n_dim) [m]."""
     values: Mapping[str, Array] = field(default_factory=dict)
     """`speed` [m/s] and `pressure` [Pa] (n_points,)."""
 
@@ -109,7 +109,7 @@ class _ListedFigures(RunFigures):
             if not run.is_complete and time > run.time[-1]:
                 remark = f"\nunstable, last at t = {run.time[-1]:.3g} s"
             velocity, pressure = run.fields(index)
-            values = {"speed": np.hypot(*velocity.T), "pressure": pressure}
+            values = {"speed": np.hypot.reduce(velocity, axis=1), "pressure": pressure}
             return _Snapshot(run.name, float(run.time[index]), remark, run.position(index), values)
 
     def _fields(self, figure: FieldFigure) -> Figure:

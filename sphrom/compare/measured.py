@@ -34,7 +34,7 @@ from sphrom.metrics.measures import (
     why_missing,
     with_coefficients,
 )
-from sphrom.metrics.quantities import MEASURABLE, components, parts
+from sphrom.metrics.quantities import components, parts, unit_of
 from sphrom.metrics.series import OSCILLATION, dominant_frequency, kinetic_energy, smoothed
 from sphrom.models.contract import Measured
 from sphrom.models.stored_run import StoredRun
@@ -108,6 +108,7 @@ def measure_rows(
     *,
     with_weight: bool,
     averages: Array,
+    n_dim: int = 2,
     **described: Any,
 ) -> Iterator[MeasureRow]:
     """Yield the rows of a run beside the full run at times (n_snapshots,) [s].
@@ -146,7 +147,7 @@ def measure_rows(
                 yield MeasureRow(
                     measured=measured,
                     quantity=component,
-                    unit=MEASURABLE[quantity].unit,
+                    unit=unit_of(quantity, n_dim),
                     **described,
                     from_time=begin,
                     mean=float(part.mean()),
@@ -268,7 +269,7 @@ def flow_row(
     figures = []
     for snapshot in range(len(run.time)):
         velocity, pressure = run.fields(snapshot)
-        fastest = np.hypot(*velocity.T).max()
+        fastest = np.hypot.reduce(velocity, axis=1).max()
         energy = kinetic_energy(velocity, run.mass)
         figures.append((fastest, energy, pressure.mean(), pressure.std()))
     speed, energies, mean_pressure, deviations = np.stack(figures, axis=1)

@@ -17,6 +17,7 @@ from sphrom.artifacts.records.comparison import ReferenceProfile as Profile
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import Probes
+from sphrom.metrics.quantities import AXES
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.sph.fluid import ROUNDING
 from sphrom.store.stored_run import ON_WALL, sample_run
@@ -138,9 +139,9 @@ def _comparison(
         earlier = times[-1] - SETTLING_SHARE * (times[-1] - times[0])
         last = min(int(np.searchsorted(times, earlier)), len(times) - 2)
         before = range(max(0, last + 1 - len(window)), max(0, last) + 1)
-    across = np.full_like(reference.coordinate, reference.offset)
-    columns = (reference.coordinate, across)
-    points = length * np.stack(columns if reference.axis == "x" else columns[::-1], axis=1)
+    places = np.full((len(reference.coordinate), domain.n_dim), reference.offset)
+    places[:, AXES.index(reference.axis)] = reference.coordinate
+    points = length * places
     # On the walls, a run has its boundary conditions rather than a solution.
     off_walls = domain.wall_distance(points) > ON_WALL * case.plan.particle_spacing
     compared = off_walls & domain.contains(points)
@@ -157,7 +158,7 @@ def _comparison(
         scale = case.fluid.reference_density * speed**2
         values = (samples.pressure[:, :number] - zero) / scale
     else:
-        values = samples.velocity[..., "uv".index(reference.quantity)] / speed
+        values = samples.velocity[..., "uvw".index(reference.quantity)] / speed
     now, then = (values[np.isin(chosen, part)] for part in (window, before))
     value = now.mean(axis=0)
     scatter = now.std(axis=0)

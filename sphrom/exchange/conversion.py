@@ -20,13 +20,13 @@ from sphrom.case.models import Case
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot, Source, read_foreign
-from sphrom.exchange.import_options import ImportOptions, pair, place
+from sphrom.exchange.import_options import ImportOptions, component_fields, place
 from sphrom.exchange.instants import TIME_TOLERANCE, find_sources, interval, series
 from sphrom.sph import fluid
 from sphrom.sph.fluid import fluctuation_of
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 
-VELOCITIES = (("u", "v"), ("velocity.x", "velocity.y"))
+VELOCITIES = (("u", "v", "w"), ("velocity.x", "velocity.y", "velocity.z"))
 """Default names of the components of velocity."""
 FLUCTUATION = "density_fluctuation"
 """Name of the density less its reference value in files that this program exported."""
@@ -34,6 +34,9 @@ ROUNDING = 1e-6
 """Share of the largest speed up to which a third component of velocity counts as zero."""
 MOST_SPEED = 5.0
 """Speed over that of the scene, above which the unit is probably wrong."""
+MOST_EMPTY, EMPTY = 0.01, 2.0
+"""Largest share of a box in space that is empty, and distance of its places from the nearest
+particle, over the spacing."""
 COUNT_TOLERANCE = 0.05
 """Relative tolerance of the number of particles: programs fill edges differently."""
 
@@ -45,11 +48,14 @@ class Converter:
         self.options = options
         self._case = case
         self._first = first = read_foreign(source, options.array)
-        self._position = pair("position", options.position)
-        self._origin = place("origin", options.origin)
-        self._scales = options.scales
+        n_dim = case.scene.domain.n_dim
         usual = next((names for names in VELOCITIES if names[0] in first.fields), VELOCITIES[0])
-        self._velocity = usual if options.velocity is None else pair("velocity", options.velocity)
+        position = options.position or ",".join(COMPONENTS[:n_dim])
+        velocity = options.velocity or ",".join(usual[:n_dim])
+        self._position = component_fields("position", position, n_dim)
+        self._velocity = component_fields("velocity", velocity, n_dim)
+        self._origin = place("origin", options.origin or ",".join("0" * n_dim), n_dim)
+        self._scales = options.scales
         self.n_particles = first.n_particles
         self.largest_speed = self.largest_fluctuation = 0.0
         if (fitting := _fitting_resolution(case, self.n_particles)) is not None:
@@ -69,8 +75,9 @@ class Converter:
         order = self._order(foreign)
         velocity = np.stack([foreign.field(name, "--velocity")[order] for name in self._velocity])
         velocity = velocity * self._scales["velocity"]
-        self.largest_speed = max(self.largest_speed, float(np.hypot(*velocity).max()))
-        self._require_flat(foreign)
+        self.largest_speed = max(self.largest_speed, float(np.hypot.reduce(velocity, axis=0).max()))
+        if len(self._position) == 2:
+            self._require_flat(foreign)
         position = self._place(foreign)[order]
         scene = self._case.plan.max_speed
         largest = self.largest_speed
@@ -104,26 +111,44 @@ class Converter:
         return np.argsort(numbers)
 
     def _place(self, foreign: ForeignSnapshot) -> Array:
-        """Return positions (n_particles, 2) [m] in the scene, checked."""
+        """Return positions (n_particles, n_dim) [m] in the scene, checked."""
         domain = self._case.scene.domain
         columns = [foreign.field(name, "--position") for name in self._position]
         position = (np.stack(columns, axis=1) - self._origin) * self._scales["length"]
         low = position.min(axis=0)
         high = position.max(axis=0)
         spacing = self._case.plan.particle_spacing
-        # The fourth neighbour is one spacing away in lattices, and nearly so if particles pair.
-        distance = float(np.median(KDTree(position).query(position, 5)[0][:, 4]))
+        # In lattices the fourth neighbour, in space the sixth, is one spacing away, and nearly so
+        # if particles pair.
+        n_near = 2 * domain.n_dim
+        distance = float(np.median(KDTree(position).query(position, n_near + 1)[0][:, n_near]))
         position = domain.wrap(position)
         outside = int(np.sum(~domain.contains(position)))
         if outside or not 0.7 < distance / spacing < 1.9:
             fitting = self.options.fitting("length", spacing / (distance or spacing))
+            ends = zip(low.tolist(), high.tolist(), strict=True)
+            spans = " and ".join(f"{start:.6g} to {end:.6g} m" for start, end in ends)
             raise CaseError(
                 f"{foreign.path}: {outside} of the particles are outside the scene; all span "
-                f"{low[0]:.6g} to {high[0]:.6g} m and {low[1]:.6g} to {high[1]:.6g} m, with a "
-                f"spacing of {distance:.3g} m, and {spacing:.3g} m in the case; check --units, "
-                f"--origin, --array and the size of the scene{fitting}"
+                f"{spans}, with a spacing of {distance:.3g} m, and {spacing:.3g} m in the "
+                f"case; check --units, --origin, --array and the size of the scene{fitting}"
             )
+        if domain.n_dim == 3:
+            self._require_filled(foreign, position)
         return position
+
+    def _require_filled(self, foreign: ForeignSnapshot, position: Array) -> None:
+        """Raise CaseError unless particles (n_particles, 3) [m] fill the whole box."""
+        spacing = self._case.plan.particle_spacing
+        places = self._case.scene.domain.fill(spacing)
+        empty = float(np.mean(KDTree(position).query(places)[0] > EMPTY * spacing))
+        if empty > MOST_EMPTY:
+            raise CaseError(
+                f"{foreign.path}: {100.0 * empty:.2g} % of the box have no particles. In three "
+                "dimensions fluid fills a box without solids; free surfaces, solids and bodies are "
+                "not modelled. Name the particles of the fluid with --array, or choose scene.box "
+                "so that they fill it"
+            )
 
     def _require_flat(self, foreign: ForeignSnapshot) -> None:
         """Raise CaseError if points or velocities leave the plane; named components may."""
@@ -164,7 +189,7 @@ class Converter:
         return fluctuation
 
 
-def _third(names: tuple[str, str], fields: Collection[str]) -> str | None:
+def _third(names: tuple[str, ...], fields: Collection[str]) -> str | None:
     """Return the field of a vector's third component, given the names of two; None if missing."""
     vector = names[0].rpartition(".")[0]
     families = (COMPONENTS, ("u", "v", "w"), tuple(f"{vector}.{c}" for c in COMPONENTS))
@@ -222,4 +247,4 @@ def _fitting_resolution(case: Case, n_particles: int) -> int | None:
     # Lagrangian bases need the exact number of particles.
     if abs(ratio - 1.0) <= (0.0 if case.basis.lagrangian else COUNT_TOLERANCE):
         return None
-    return round(case.discretization.resolution * ratio**0.5)
+    return round(case.discretization.resolution * ratio ** (1.0 / case.scene.domain.n_dim))

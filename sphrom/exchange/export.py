@@ -27,6 +27,7 @@ from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.import_options import place
+from sphrom.metrics.quantities import AXES, component_names
 from sphrom.models.contract import Model, model_of
 from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import rows_of_columns, write_csv
@@ -44,8 +45,6 @@ FOLDER = "export"
 FIELDS, PROBES, MODEL, UNIT, PAGE = "vtu", "csv", "model", "fmu", "page"
 """Fields for ParaView, tables of histories at points, and trained models for other programs, as
 documents, as units for system simulation, or as pages that run them."""
-HEAD = {"time": "s", "x": "m", "y": "m", "velocity_x": "m/s", "velocity_y": "m/s", "pressure": "Pa"}
-"""Columns of a run's table, with their units; the rows are all pairs of a time and a point."""
 POINTS = "reference_position"
 _VERTEX = 1
 """VTK's type of a cell with a single point."""
@@ -271,7 +270,12 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
 
     The table of an unstable run ends at its last snapshot.
     """
-    points = np.array([place("at", text) for text in at]) if at else probes_of(workspace.case).line
+    n_dim = workspace.case.scene.domain.n_dim
+    asked = [place("at", text, n_dim) for text in at]
+    points = np.array(asked) if asked else probes_of(workspace.case).line
+    # The rows are all pairs of a time and a point.
+    head = {"time": "s", **dict.fromkeys(AXES[:n_dim], "m")}
+    head |= dict.fromkeys(component_names("velocity", n_dim), "m/s") | {"pressure": "Pa"}
     outside = points[~workspace.case.scene.domain.contains(points)]
     if len(outside):
         raise CaseError(f"--at: {outside[0].tolist()} m is not in the fluid")
@@ -285,12 +289,12 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
             samples = run.sampled(points)
         times = np.repeat(samples.time, len(points))
         n_times = len(samples.time)
-        fields = samples.velocity.reshape(-1, 2), samples.pressure.ravel()
+        fields = samples.velocity.reshape(-1, n_dim), samples.pressure.ravel()
         values = np.column_stack((times, np.tile(points, (n_times, 1)), *fields)).tolist()
-        rows = [dict(zip(HEAD, row, strict=True)) for row in values]
+        rows = [dict(zip(head, row, strict=True)) for row in values]
         if rows:  # a run that became unstable immediately has no rows
             make_folder(folder, "--into")
-            write_csv(path, rows_of_columns(HEAD, rows))
+            write_csv(path, rows_of_columns(head, rows))
             workspace.context.report.info(f"wrote {path}: {len(points)} points")
     return len(runs)
 

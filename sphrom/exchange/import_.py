@@ -113,6 +113,7 @@ def _write(
             len(choices),
             converter.n_particles,
             plan.sound_speed,
+            n_dim=case.scene.domain.n_dim,
             walls=particles.walls(case, plan.flow(point)),
             forces=particles.wall_forces(case, point, model),
             fields=MeasuredParticles.of(case, point),

@@ -44,10 +44,18 @@ class ImportOptions:
         _option("NAME", "Particles to import: PySPH's name, or a field's value such as Type=3."),
     ] = None
     position: Annotated[
-        str, _option("A,B", "Two fields, or components such as points.x,points.y.")
-    ] = "x,y"
+        str | None,
+        _option(
+            "A,B",
+            "Two fields, or three in space, or components such as points.x,points.y.  "
+            "[default: x,y, or x,y,z]",
+        ),
+    ] = None
     velocity: Annotated[
-        str | None, _option("A,B", "Two fields.  [default: u,v, or velocity.x,velocity.y]")
+        str | None,
+        _option(
+            "A,B", "As many fields.  [default: u,v, or velocity.x,velocity.y; in space with w or z]"
+        ),
     ] = None
     density: Annotated[str | None, _option("NAME", "Density.  [default: rho]")] = None
     pressure: Annotated[str | None, _option("NAME", "Pressure, instead of the density.")] = None
@@ -58,9 +66,10 @@ class ImportOptions:
     units: Annotated[
         str, _option("UNITS", "Other than SI units, like length=mm,velocity=cm/s,time=0.1.")
     ] = ""
-    origin: Annotated[str, _option("X,Y", "Point of the scene's (0, 0), in the files' units.")] = (
-        "0,0"
-    )
+    origin: Annotated[
+        str | None,
+        _option("X,Y", "Place of the scene's zero in the files, in their units.  [default: 0,0]"),
+    ] = None
     time_step: Annotated[
         float | None, _option("TIME", "Time between files in order of names.  [default: as stored]")
     ] = None
@@ -116,22 +125,29 @@ class ImportOptions:
         return f"; {quantity}={unit} of --units would fit" if fits else ""
 
 
-def pair(option: str, text: str) -> tuple[str, str]:
-    """Return the two parts of an option such as `0.5,0.5`. Raises CaseError unless it has two."""
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 2 or not all(parts):
-        raise CaseError(f"--{option}: must be two names, like a,b; got {text!r}")
-    return parts[0], parts[1]
+NUMBERS = {2: "two", 3: "three"}
+"""Numbers of components in words."""
 
 
-def place(option: str, text: str) -> tuple[float, float]:
-    """Return the coordinates in an option. Raises CaseError unless they are two numbers."""
+def component_fields(option: str, text: str, n_dim: int) -> tuple[str, ...]:
+    """Return the fields of a vector's components. Raises CaseError unless there are n_dim."""
+    parts = tuple(part.strip() for part in text.split(","))
+    if len(parts) != n_dim or not all(parts):
+        like = ",".join("abc"[:n_dim])
+        raise CaseError(f"--{option}: must be {NUMBERS[n_dim]} names, like {like}; got {text!r}")
+    return parts
+
+
+def place(option: str, text: str, n_dim: int) -> tuple[float, ...]:
+    """Return the coordinates in an option. Raises CaseError unless they are n_dim numbers."""
     try:
-        x, y = map(float, text.split(","))
-        if not (abs(x) <= LARGEST and abs(y) <= LARGEST):  # also refuses NaN
-            raise ValueError("is no place")
+        coordinates = tuple(map(float, text.split(",")))
+        if len(coordinates) != n_dim or not all(abs(x) <= LARGEST for x in coordinates):
+            raise ValueError("is no place")  # also NaN
     except ValueError as error:
+        like = ",".join(("0.5",) * n_dim)
         raise CaseError(
-            f"--{option}: must be two numbers up to {LARGEST:g}, like 0.5,0.5; got {text!r}"
+            f"--{option}: must be {NUMBERS[n_dim]} numbers up to {LARGEST:g}, like {like}; got "
+            f"{text!r}"
         ) from error
-    return x, y
+    return coordinates

@@ -146,14 +146,15 @@ def interpolated(
     ]
     nearest = int(np.argmax(weights))
     base = given[nearest][1].position
-    fastest = max(float(np.hypot(*snapshot.velocity).max()) for _, snapshot in given)
+    fastest = max(float(np.hypot.reduce(snapshot.velocity, axis=0).max()) for _, snapshot in given)
     length = np.array(domain.lengths)[:, None]
     periodic = np.array(domain.periodic)[:, None]
-    total = np.zeros((5, base.shape[1]))
+    n_dim = len(base)
+    total = np.zeros((2 * n_dim + 1, base.shape[1]))
     for (node, snapshot), weight in zip(given, weights, strict=True):
         offset = snapshot.position - base
         offset -= np.where(periodic, length * np.round(offset / length), 0.0)  # the shortest way
-        farthest = float(np.hypot(*offset).max())
+        farthest = float(np.hypot.reduce(offset, axis=0).max())
         seconds = abs(node - nodes[nearest])
         if farthest > FARTHEST * fastest * seconds + spacing:
             raise CaseError(
@@ -162,7 +163,7 @@ def interpolated(
                 "numbers the particles"
             )
         total += weight * np.vstack((offset, snapshot.velocity, snapshot.density_fluctuation))
-    moved, velocity, fluctuation = np.split(total, (2, 4))
+    moved, velocity, fluctuation = np.split(total, (n_dim, 2 * n_dim))
     position = domain.wrap((base + moved).T)
     if outside := int(np.sum(~domain.contains(position))):
         raise CaseError(

@@ -5,8 +5,9 @@
     0.2,      0.215,                 0.002,
 
 Except for `time`, the name of a column consists of the measurement in the case, the quantity, and
-its component, if any. In a table with columns `x` and `y`, the columns velocity_x, velocity_y and
-pressure are values at that place and time, as in tables of `sphrom export --to csv`. Units, in
+its component, if any. In a table with columns `x` and `y`, and `z` in three dimensions, the columns
+velocity_x, velocity_y and pressure are values at that place and time, as in tables of
+`sphrom export --to csv`. Units, in
 brackets, are optional. Columns whose names end in `_noise` have standard deviations. Empty cells
 and NaN are missing values, lines that begin with # are comments, and other cells are numbers. With
 semicolons or tabs between cells, numbers may have decimal commas (`sphrom.text.table_rows`).
@@ -31,13 +32,13 @@ from sphrom.case.fields import LARGEST
 from sphrom.case.measure_sections import outside_fluid
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.metrics.quantities import PLACED, Column
+from sphrom.metrics.quantities import AXES, PLACED, Column
 from sphrom.metrics.series import OSCILLATION
 from sphrom.sph.time_loop import TimeSteps
-from sphrom.text import nearest, quoted, repeated, shortened, table_rows, visible
+from sphrom.text import nearest, place_text, quoted, repeated, shortened, table_rows, visible
 from sphrom.whole_files import read_whole
 
-Place = tuple[float, float]
+Place = tuple[float, ...]
 
 MOST_BYTES = 16 * 1024 * 1024
 """Largest size of a file [bytes]."""
@@ -45,8 +46,6 @@ NOISE = "_noise"
 """Suffix of the names of columns with standard deviations."""
 UNNAMED = ""
 """Name of the measurement for fields at the places of rows."""
-AXES = {"time": "s", "x": "m", "y": "m"}
-"""Columns of times and places, with their units."""
 MOST_VALUES = 100_000
 """Most values of one file; each one is a row of the Jacobian."""
 LEAST_NOISE = 1e-24
@@ -57,8 +56,14 @@ TIME_TOLERANCE = 1e-6
 """Tolerance for times beyond the snapshots, over the time between snapshots."""
 
 
-AT_PLACE = Column.named(UNNAMED, PLACED)
-"""The columns of values at the places of rows."""
+def at_place(case: Case) -> dict[str, Column]:
+    """Return the columns of values at the places of rows."""
+    return Column.named(UNNAMED, PLACED, case.scene.domain.n_dim)
+
+
+def axes_of(case: Case) -> dict[str, str]:
+    """Return the columns of times and places, with their units."""
+    return {"time": "s", **dict.fromkeys(AXES[: case.scene.domain.n_dim], "m")}
 
 
 @dataclass(frozen=True)
@@ -162,23 +167,25 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
         raise ValueError(f"has {n_lines} lines; at most {MOST_LINES} are allowed")
     (_, head), *rows = table_rows(text) or [(0, [])]
     names = list(_names(head, case))
-    columns = {n: column_of(case, n) for n in names if n not in AXES and not n.endswith(NOISE)}
+    time, *axes = axes_of(case)
+    given = (n for n in names if n not in (time, *axes) and not n.endswith(NOISE))
+    columns = {n: column_of(case, n) for n in given}
     entries: dict[Key, list[Entry]] = {}
     for line, row in rows:
         cells = {n: _number(cell, n, line) for n, cell in zip(names, row, strict=True)}
         for name, column in columns.items():
             if math.isnan(value := cells[name]):
                 continue
-            place = None if column.measure else (cells["x"], cells["y"])
-            if any(map(math.isnan, (cells["time"], *(place or ())))):
+            place = None if column.measure else tuple(cells[axis] for axis in axes)
+            if any(map(math.isnan, (cells[time], *(place or ())))):
                 raise ValueError(f"line {line}: has a value but no time, or no place")
-            entry = cells["time"], value, cells.get(f"{name}{NOISE}", math.nan)
+            entry = cells[time], value, cells.get(f"{name}{NOISE}", math.nan)
             entries.setdefault((name, column, place), []).append(entry)
     if sum(map(len, entries.values())) > MOST_VALUES:
         raise ValueError(f"has more than {MOST_VALUES} values; keep fewer times")
     places = list(dict.fromkeys(place for _, _, place in entries if place is not None))
     spacing = case.plan.particle_spacing
-    problem = outside_fluid(case.scene.domain, np.array(places).reshape(-1, 2), spacing)
+    problem = outside_fluid(case.scene.domain, np.array(places).reshape(-1, len(axes)), spacing)
     if problem is not None:
         raise ValueError(problem.partition(";")[0])
     return entries
@@ -188,18 +195,20 @@ def _names(head: Sequence[str], case: Case) -> Iterator[str]:
     """Yield the names of columns, and check their units."""
     pairs = [_name_and_unit(cell) for cell in head]
     names = [name for name, _ in pairs]
-    if "time" not in names or ("x" in names) != ("y" in names) or repeated(names):
+    time, *axes = units = axes_of(case)
+    n_axes = sum(axis in names for axis in axes)
+    if time not in names or n_axes not in (0, len(axes)) or repeated(names):
         raise ValueError(
             "its first row must name the columns, each once: time, measurements such as "
-            "drag_force_x, and x and y where rows have places"
+            f"drag_force_x, and {' and '.join(axes)} where rows have places"
         )
     for name, stated in pairs:
         base = name.removesuffix(NOISE)
-        unit = AXES.get(name) or column_of(case, base).units
+        unit = units.get(name) or column_of(case, base).units
         if base not in names:
             raise ValueError(f"column {quoted(name)} has no column {quoted(base)} of values")
-        if base in AT_PLACE and "x" not in names:
-            raise ValueError(f"column {base} needs a place: columns x and y")
+        if base in at_place(case) and not n_axes:
+            raise ValueError(f"column {base} needs a place: columns {' and '.join(axes)}")
         if stated not in (None, unit):
             raise ValueError(f"column {name} must be in {unit}; got [{shortened(stated, 60)}]")
         yield name
@@ -213,7 +222,7 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
 
 def column_of(case: Case, name: str) -> Column:
     """Return the column with a name. Raises ValueError if the case has no such measurement."""
-    known = AT_PLACE | case.scene.columns
+    known = at_place(case) | case.scene.columns
     for measured, oscillating in case.plan.oscillations.items():
         for figure in OSCILLATION[:3]:
             units = oscillating.units_of(figure)
@@ -221,7 +230,8 @@ def column_of(case: Case, name: str) -> Column:
     if name not in known:
         raise ValueError(
             f"column {quoted(name)} is not a measurement of the case over time; "
-            f"{nearest(name, known)}; {', '.join(AT_PLACE)} need columns x and y for the place"
+            f"{nearest(name, known)}; {', '.join(at_place(case))} need columns "
+            f"{' and '.join([*axes_of(case)][1:])} for the place"
         )
     return known[name]
 
@@ -242,7 +252,7 @@ def _number(text: str, name: str, line: int) -> float:
 def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History:
     """Return a history in order of time, with its noise."""
     column_name, column, place = key
-    name = column_name if place is None else f"{column_name} at ({place[0]:g}, {place[1]:g})"
+    name = column_name if place is None else f"{column_name} at {place_text(place)}"
     time, value, deviation = np.array(sorted(entries)).T
     unknown = np.isnan(deviation)
     if unknown.any():

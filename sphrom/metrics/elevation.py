@@ -39,9 +39,9 @@ class Filling:
         self,
         points: Array,
         radius: float,
-        lower: tuple[float, float],
-        upper: tuple[float, float],
-        periodic: tuple[bool, bool] = (False, False),
+        lower: tuple[float, ...],
+        upper: tuple[float, ...],
+        periodic: tuple[bool, ...] = (False, False),
         solid: Array | None = None,
         solid_volume: float = 0.0,
     ) -> None:

@@ -2,18 +2,19 @@
 
 A flow rate is the integral of u . n along a segment, by the three-point Gauss rule on pieces of
 limited length, which is exact for velocities up to the fifth degree. The normal points to the right
-of the segment's direction, so the flow rate is the increase of the stream function along it.
+of the segment's direction, so the flow rate is the increase of the stream function along it. In
+three dimensions it is the integral over a rectangle perpendicular to an axis, along this axis.
 
-Measured quantities have the axes (snapshot, ...), then place and component if they have any.
+Measured quantities have the axes (snapshot, ...), then place and component if they have any. Points
+are (n_points, n_dim), in a plane or in space.
 
-Runs are compared at probes on a straight line and on a regular grid over the box: the midpoints of
-equal intervals, so that none is on the edges of a box, or twice on the two sides of a periodic one.
+Runs are compared at probes on a straight line and on a regular grid over the box.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -26,7 +27,6 @@ from sphrom.metrics.quantities import (
     COEFFICIENT,
     MEASURABLE,
     Column,
-    component_names,
     components,
     is_vector,
 )
@@ -46,7 +46,7 @@ Measured = Mapping[str, Quantities]
 """Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 
 TORQUE = 2
-"""The row of the torque, after the components of the force."""
+"""The row of the torque in a plane, after the components of the force; none in space."""
 TIME_TOLERANCE = 1e-9
 """Times that differ by less than this are equal [s]."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -58,7 +58,7 @@ class FieldMeasure:
 
     Parameters
     ----------
-    position : (n_places, 2) [m].
+    position : (n_places, n_dim) [m].
     """
 
     is_integral = False
@@ -69,27 +69,26 @@ class FieldMeasure:
 
     @classmethod
     def line(cls, ends: Array, n_places: int) -> FieldMeasure:
-        """Return equally spaced places between two ends (2, 2) [m], both included."""
+        """Return equally spaced places between two ends (2, n_dim) [m], both included."""
         start, end = ends
         along = np.linspace(0.0, 1.0, n_places)[:, None]
         return cls((1.0 - along) * start + along * end)
 
     def of(self, velocity: Array, pressure: Array) -> Quantities:
-        """Return the measurement of velocity (..., n_places, 2) and pressure (..., n_places)."""
+        """Return the quantities of velocity (..., n_places, n_dim) and pressure (..., n_places)."""
         return {"velocity": velocity, "pressure": pressure}
 
 
 class SegmentMeasure(FieldMeasure):
-    """An integral along the segment between two ends (2, 2) [m], in pieces of limited length."""
+    """An integral along the segment between two ends (2, n_dim), in pieces of limited length."""
 
     is_integral = True
 
     def __init__(self, ends: Array, longest: float) -> None:
         start, end = ends
         self.vector = np.subtract(end, start)
-        n_pieces = max(1, math.ceil(float(np.hypot(*self.vector)) / longest))
-        along = (np.arange(n_pieces)[:, None] + 0.5 * (1.0 + NODES)).ravel() / n_pieces
-        self.share = np.tile(0.5 * WEIGHTS / n_pieces, n_pieces)
+        self.length = float(np.hypot.reduce(self.vector))
+        along, self.share = gauss_rule(self.length, longest)
         super().__init__(start + along[:, None] * self.vector)
 
 
@@ -101,19 +100,70 @@ class FlowRate(SegmentMeasure):
         to_the_right = np.array([self.vector[1], -self.vector[0]])
         self._weights = self.share[:, None] * to_the_right
 
+    @staticmethod
+    def through(ends: Array, longest: float) -> FieldMeasure:
+        """Return the flow rate through a segment, or through a rectangle in space.
+
+        Its opposite corners (2, 3) [m] are equal along one axis.
+        """
+        return FlowRate(ends, longest) if ends.shape[1] == TORQUE else FlowAcross(ends, longest)
+
     def of(self, velocity: Array, pressure: Array) -> Quantities:
         return {"flow_rate": np.sum(velocity * self._weights, axis=(-2, -1))}
+
+
+class FlowAcross(FieldMeasure):
+    """The integral of the velocity along an axis, over a rectangle with opposite corners."""
+
+    is_integral = True
+
+    def __init__(self, ends: Array, longest: float) -> None:
+        lower = ends.min(axis=0)
+        lengths = np.ptp(ends, axis=0)
+        self.axis = int(np.argmin(lengths))
+        inner, outer = np.delete(np.arange(3), self.axis)
+        along, share = gauss_rule(lengths[inner], longest)
+        across, other_share = gauss_rule(lengths[outer], longest)
+        position = np.tile(lower, (len(across), len(along), 1))
+        position[..., inner] += lengths[inner] * along
+        position[..., outer] += lengths[outer] * across[:, None]
+        self._weights = np.outer(lengths[outer] * other_share, lengths[inner] * share).ravel()
+        super().__init__(position.reshape(-1, 3))
+
+    def of(self, velocity: Array, pressure: Array) -> Quantities:
+        return {"flow_rate": np.sum(velocity[..., self.axis] * self._weights, axis=-1)}
+
+
+FLOW_RATES = (FlowRate, FlowAcross)
+"""The kinds of flow rates."""
 
 
 class Integral(SegmentMeasure):
     """The integrals of velocity and pressure along a segment."""
 
     def of(self, velocity: Array, pressure: Array) -> Quantities:
-        weights = float(np.hypot(*self.vector)) * self.share
+        weights = self.length * self.share
         return {
             "velocity_integral": np.sum(velocity * weights[:, None], axis=-2),
             "pressure_integral": np.sum(pressure * weights, axis=-1),
         }
+
+
+def gauss_rule(length: float, longest: float) -> tuple[Array, Array]:
+    """Return places and weights (n,) along a unit interval, in pieces of limited length [m]."""
+    n_pieces = max(1, math.ceil(length / longest))
+    along = (np.arange(n_pieces)[:, None] + 0.5 * (1.0 + NODES)).ravel() / n_pieces
+    return along, np.tile(0.5 * WEIGHTS / n_pieces, n_pieces)
+
+
+def of_loads(loads: Array, n_dim: int) -> Quantities:
+    """Return the force, and in a plane the torque, from loads (..., 3).
+
+    Loads are force and torque in a plane, and the three components of the force in space.
+    """
+    if n_dim > TORQUE:
+        return {"force": loads}
+    return {"force": loads[..., :TORQUE], "torque": loads[..., TORQUE]}
 
 
 @dataclass(frozen=True)
@@ -220,7 +270,7 @@ STATISTICS: Mapping[str, Callable[..., Any]] = {
 
 
 def statistics(quantities: Quantities, counted: Mask) -> dict[str, Array]:
-    """Return the statistics (n_runs,) of series (n_runs, n_snapshots[, 2]), such as `torque_mean`.
+    """Return statistics (n_runs,) of series (n_runs, n_snapshots[, n_dim]), such as `torque_mean`.
 
     Only the `counted` snapshots (n_snapshots,) enter; without any, there is only the last value.
     Lines have no statistics.
@@ -270,12 +320,13 @@ def variations(quantity: str, values: Array, *, with_weight: bool = False) -> di
         values = values - values.mean(axis=0)
     sizes = mean_squares(quantity, values)
     whole = sizes[quantity]
-    for name, each in components(quantity, values).items():
+    parts = components(quantity, values)
+    for name, each in parts.items():
         noise = mean_square(name, np.diff(each, 2, axis=0)) if len(each) > 2 else 0.0
         noisy = noise >= SECOND_DIFFERENCE * NOISY * sizes[name]
         if noisy or sizes[name] <= NEGLIGIBLE**2 * whole:
             sizes[name] = 0.0
-    sizes[quantity] *= any(sizes[name] > 0.0 for name in component_names(quantity))
+    sizes[quantity] *= any(sizes[name] > 0.0 for name in parts)
     return sizes
 
 
@@ -303,15 +354,22 @@ class Probes:
     """Points in the fluid at which runs are compared [m]."""
 
     line: Array
-    """(n_line, 2), on a vertical line: the centreline unless the case chooses another."""
+    """(n_line, n_dim), on a line along y: the centreline unless the case chooses another."""
     grid: Array
-    """(n_grid, 2), the points of a regular grid that are in the fluid, row by row."""
+    """(n_grid, n_dim), the points of a regular grid that are in the fluid, row by row."""
     grid_shape: tuple[int, int]
-    """Rows and columns of the whole grid."""
+    """Rows and columns of pictures."""
     in_fluid: Mask
-    """(n_rows n_columns,) whether points of the whole grid are in the fluid."""
+    """(n_rows n_columns,) whether points of pictures are in the fluid."""
     stations: Array
-    """(n_stations, 2), points with recorded histories; none in most scenes."""
+    """(n_stations, n_dim), points with recorded histories; none in most scenes."""
+    on_slices: Array | None = None
+    """(n_pictured, 3), the points of pictures of slices in space; None if it is the grid."""
+
+    @property
+    def pictured(self) -> Array:
+        """The points of pictures (n_pictured, n_dim) that are in the fluid."""
+        return self.grid if self.on_slices is None else self.on_slices
 
     @property
     def all(self) -> Array:
@@ -334,7 +392,7 @@ class Probes:
         return slice(len(self.line) + len(self.grid), None)
 
     def picture(self, values: Array) -> Array:
-        """Return values (n_grid,) as a picture (n_rows, n_columns), NaN outside the fluid."""
+        """Return values (n_pictured,) as a picture (n_rows, n_columns), NaN outside the fluid."""
         whole = np.full(self.in_fluid.size, np.nan)
         whole[self.in_fluid] = values
         return whole.reshape(self.grid_shape)
@@ -347,7 +405,7 @@ class Samples:
     time: Array
     """(n_snapshots,) [s]."""
     velocity: Array
-    """(n_snapshots, n_probes, 2) [m/s]."""
+    """(n_snapshots, n_probes, n_dim) [m/s]."""
     pressure: Array
     """(n_snapshots, n_probes) [Pa]."""
     measured: Mapping[str, Array] = field(default_factory=dict)
@@ -382,30 +440,3 @@ def without_weight(run: Samples, reference: Samples, weight: Array) -> tuple[Sam
         return Samples(one.time, velocity, np.where(wet, one.pressure - weight, 0.0))
 
     return compared(run), compared(reference)
-
-
-def midpoints(lower: float, upper: float, n_points: int) -> Array:
-    """Return the midpoints (n_points,) [m] of equal intervals between two bounds."""
-    return lower + (np.arange(n_points) + 0.5) * (upper - lower) / n_points
-
-
-def spread(spans: Sequence[tuple[float, float]], n_points: int) -> Array:
-    """Return points (n_points,) [m], evenly spread over consecutive intervals."""
-    starts = np.array([low for low, _ in spans])
-    lengths = np.array([high - low for low, high in spans])
-    ends = np.cumsum(lengths)
-    along = midpoints(0.0, float(ends[-1]), n_points)
-    piece = np.minimum(np.searchsorted(ends, along), len(spans) - 1)
-    return np.asarray(starts[piece] + (along - (ends - lengths)[piece]))
-
-
-def grid_points(
-    lower: tuple[float, float], upper: tuple[float, float], shape: tuple[int, int]
-) -> Array:
-    """Return the points (ny nx, 2) [m] of a grid over a box, row by row from below.
-
-    `reshape(shape)` turns a field there into a picture, with shape (ny, nx).
-    """
-    x, y = (midpoints(lower[i], upper[i], shape[1 - i]) for i in (0, 1))
-    columns, rows = np.meshgrid(x, y)
-    return np.stack((columns.ravel(), rows.ravel()), axis=1)

@@ -16,8 +16,8 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.declaration import attribute, dataset
 
-AXES = ("x", "y")
-"""Names of components."""
+AXES = ("x", "y", "z")
+"""Names of components; fields in a plane have the first two."""
 COEFFICIENT = "coefficient"
 """The quantity that follows from a force and its scales, and is not recorded."""
 
@@ -27,6 +27,7 @@ class Quantity:
     """A measured quantity."""
 
     unit: str
+    """In a plane, where forces and flow rates are per metre of depth."""
     meaning: str
     symbol: str = ""
     equation: str = ""
@@ -40,6 +41,8 @@ class Quantity:
     """Whether it holds the weight of fluid with a free surface."""
     about_mean: bool = False
     """Whether its errors are relative to how it varies over time."""
+    in_space: str | None = ""
+    """Its unit in three dimensions if another one, or None if it is only measured in a plane."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -48,12 +51,13 @@ class Quantity:
 
 
 MEASURABLE: Mapping[str, Quantity] = {
-    "force": Quantity("N/m", "force on a wall", is_vector=True, has_weight=True),
-    "torque": Quantity("N", "torque on a wall, anticlockwise", has_weight=True),
+    "force": Quantity("N/m", "force on a wall", is_vector=True, has_weight=True, in_space="N"),
+    "torque": Quantity("N", "torque on a wall, anticlockwise", has_weight=True, in_space=None),
     "flow_rate": Quantity(
         "m2/s",
         "flow through a section, from the left to the right of its direction",
         of_field="velocity",
+        in_space="m3/s",
     ),
     "velocity": Quantity(
         "m/s",
@@ -81,7 +85,7 @@ MEASURABLE: Mapping[str, Quantity] = {
     ),
     "elevation": Quantity("m", "height of the free surface", about_mean=True),
     "centre_of_mass": Quantity("m", "centre of mass of the fluid", is_vector=True, about_mean=True),
-    "kinetic_energy": Quantity("J/m", "kinetic energy"),
+    "kinetic_energy": Quantity("J/m", "kinetic energy", in_space="J"),
     "potential_energy": Quantity("J/m", "potential energy"),
     COEFFICIENT: Quantity("1", "coefficient of the force", "C", is_vector=True, has_weight=True),
 }
@@ -142,17 +146,23 @@ def is_vector(name: str) -> bool:
     return name in MEASURABLE and MEASURABLE[name].is_vector
 
 
-def component_names(quantity: str) -> tuple[str, ...]:
+def unit_of(quantity: str, n_dim: int) -> str:
+    """Return the unit of a quantity."""
+    measurable = MEASURABLE[quantity]
+    return (measurable.in_space if n_dim == len(AXES) else None) or measurable.unit
+
+
+def component_names(quantity: str, n_dim: int = 2) -> tuple[str, ...]:
     """Return the column names of a quantity's components, such as `force_x` and `force_y`."""
     if is_vector(quantity):
-        return tuple(f"{quantity}_{axis}" for axis in AXES)
+        return tuple(f"{quantity}_{axis}" for axis in AXES[:n_dim])
     return (quantity,)
 
 
 def components(quantity: str, values: Array) -> dict[str, Array]:
     """Return the components of values (n_snapshots, ...), by name."""
     parts = np.moveaxis(values, -1, 0) if is_vector(quantity) else (values,)
-    return dict(zip(component_names(quantity), parts, strict=True))
+    return dict(zip(component_names(quantity, len(parts)), parts, strict=True))
 
 
 def parts(quantity: str, values: Array) -> dict[str, Array]:
@@ -171,15 +181,16 @@ class Column:
     units: str
 
     @classmethod
-    def named(cls, measure: str, quantities: Iterable[str]) -> dict[str, Column]:
+    def named(cls, measure: str, quantities: Iterable[str], n_dim: int = 2) -> dict[str, Column]:
         """Return the columns of a measurement by their names."""
         return {
             "_".join(filter(None, (measure, name))): cls(
                 measure,
                 quantity,
                 component if is_vector(quantity) else None,
-                MEASURABLE[quantity].unit,
+                unit_of(quantity, n_dim),
             )
             for quantity in quantities
-            for component, name in enumerate(component_names(quantity))
+            if n_dim == 2 or MEASURABLE[quantity].in_space is not None
+            for component, name in enumerate(component_names(quantity, n_dim))
         }

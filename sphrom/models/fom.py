@@ -200,8 +200,13 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
                     end = kept
             except UnstableError as error:
                 raise UnstableError(f"{point.label}, spin-up: {error}") from error
-        last = Start(position=end[:2].T, density_fluctuation=end[2], velocity=end[3:].T)
-        write_record(artifact, last)
+        last = model.snapshot(end)
+        stored = Start(
+            position=last.position.T,
+            density_fluctuation=last.density_fluctuation,
+            velocity=last.velocity.T,
+        )
+        write_record(artifact, stored)
         artifact.annotate("time", steps.time(n_steps))
         artifact.annotate("timing/integration", clock.seconds)
 
@@ -226,7 +231,8 @@ def _run_point(workspace: Workspace, point: ParameterPoint, shorter: Target | No
                     steps.n_snapshots,
                     len(begin.position),
                     case.plan.sound_speed,
-                    walls=particles.walls(case, case.plan.flow(point)),
+                    n_dim=begin.position.shape[1],
+                    walls=functional.walls,
                     forces=particles.wall_forces(case, point, functional),
                     fields=MeasuredParticles.of(case, point),
                     watch=particles.watch(case, point),

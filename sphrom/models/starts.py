@@ -19,7 +19,7 @@ S = TypeVar("S")
 
 
 def initial_positions(workspace: Workspace, values: Factors = NONE) -> Array:
-    """Return the start positions (n_particles, 2) [m] for values of the scene's parameters.
+    """Return the start positions (n_particles, n_dim) [m] for values of the scene's parameters.
 
     Raises ArtifactError if they have to be packed first.
     """

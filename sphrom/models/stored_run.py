@@ -93,7 +93,7 @@ class StoredRun:
     @property
     def largest_speed(self) -> float:
         """The largest speed of all points and snapshots [m/s]."""
-        return max(float(np.hypot(*velocity.T).max()) for velocity in self._velocities())
+        return max(float(np.hypot.reduce(v, axis=1).max()) for v in self._velocities())
 
     def _velocities(self) -> Iterator[Array]:
         return (self.fields(snapshot)[0] for snapshot in range(len(self.time)))

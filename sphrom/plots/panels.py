@@ -1,17 +1,18 @@
 """Figures as grids of panels, which are pictures of fields or axes with curves.
 
 Pictures take fields on a regular grid (ny, nx), with rows from below, and NaN, drawn in grey,
-outside of the fluid. If a frame has solids, their exact outline is drawn instead of grid cells. In
-all figures the full model and measurements are black, the exact solution is grey, and a reduced
-model has the colour, line style and marker of its index in the case. Colours are those of Okabe and
-Ito, which colour-blind readers can distinguish. Matplotlib is imported when a figure is drawn.
+outside of the fluid. If a frame has solids, their exact outline is drawn instead of grid cells. A
+box in space is shown by three slices side by side, see `sphrom.metrics.grids.Slices`. In all
+figures the full model and measurements are black, the exact solution is grey, and a reduced model
+has the colour, line style and marker of its index in the case. Colours are those of Okabe and Ito,
+which colour-blind readers can distinguish. Matplotlib is imported when a figure is drawn.
 """
 
 from __future__ import annotations
 
 import io
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.metrics.measures import grid_points
+from sphrom.plots.frames import Frame, Solids
 from sphrom.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -107,11 +108,7 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
     axis.set_minor_formatter(of.NullFormatter())
 
 
-Extent = tuple[float, float, float, float]
 Range = tuple[float, float]
-Solids = tuple[Array, Array, Array]
-"""Solids as x (nx,) and y (ny,) of pixels [m], and their signed distance (ny, nx) from walls [m],
-negative in the solid."""
 Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
 WIDEST = 12.0
@@ -136,13 +133,8 @@ N_MARKERS, MOST_MARKERS = 12, 26
 """Approximate number of markers along a run's curve, and along a reference with many points."""
 LEAST_GAP = 0.05
 """Least distance between the labels of marked numbers, over the width of the axis."""
-PIXELS_PER_SPACING = 3.0
-MAX_PIXELS = 400
-"""Most pixels along the longer side of a raster."""
 EXTENDED: Any = ("neither", "min", "max", "both")
 """The pointed ends of a colour bar: neither, the lower, the upper, both."""
-REACH = 1.1
-"""Distance from the nearest point, in spacings, above which a pixel is outside of the fluid."""
 LOOKS: dict[Role, dict[str, Any]] = {
     "exact": {"color": EXACT_COLOUR, "linewidth": 5.0},
     "full": {"color": INK, "linewidth": 2.2},
@@ -155,31 +147,6 @@ LOOKS: dict[Role, dict[str, Any]] = {
 def cover(axes: Axes, solids: Solids) -> None:
     """Draw solids on top of a picture."""
     axes.contourf(*solids, levels=(-np.inf, 0.0), colors=[SOLID_COLOUR], zorder=0.5)  # above images
-
-
-@dataclass(frozen=True)
-class Frame:
-    """The part of the plane that a picture shows."""
-
-    extent: Extent
-    """Left, right, lower and upper edge [m]."""
-    solids: Solids | None = None
-
-    def raster(self, position: Array) -> Callable[[Array], Array]:
-        """Return a function that turns values at points (n_points, 2) [m] into pixels (ny, nx).
-
-        Each pixel has the value of the nearest point, and NaN outside of the fluid.
-        """
-        from scipy.spatial import cKDTree  # importing it takes long
-
-        left, right, lower, upper = self.extent
-        sides = np.array([upper - lower, right - left])
-        spacing = float(np.sqrt(np.prod(sides) / len(position)))
-        pixel = max(spacing / PIXELS_PER_SPACING, float(np.max(sides)) / MAX_PIXELS)
-        ny, nx = map(int, np.maximum(1, np.ceil(sides / pixel)))
-        points = grid_points((left, lower), (right, upper), (ny, nx)).reshape(ny, nx, 2)
-        distance, nearest = cKDTree(position).query(points)
-        return lambda values: np.where(distance <= REACH * spacing, values[nearest], np.nan)
 
 
 @dataclass(frozen=True)
@@ -309,11 +276,16 @@ def _draw_pictures(
             if axes is not first:
                 axes.sharex(first)
                 axes.sharey(first)
-            axes.locator_params(axis="x", nbins=max(1, min(X_TICKS, int(AN_INCH * width))))
+            if frame.slices is None:
+                axes.locator_params(axis="x", nbins=max(1, min(X_TICKS, int(AN_INCH * width))))
+            elif axes is first:
+                axes.set_xticks(*frame.slices.ticks(0))
+                axes.set_yticks(*frame.slices.ticks(1))
             largest = rcParams["axes.titlesize"]
             axes.set_title(field.title, fontsize=min(largest, largest * width / PICTURE + 1.5))
-            axes.set_xlabel("x [m]")
-            axes.set_ylabel("y [m]" if scales is not None else f"{label}\n\ny [m]")
+            x_label, y_label = frame.labels
+            axes.set_xlabel(x_label)
+            axes.set_ylabel(y_label if scales is not None else f"{label}\n\n{y_label}")
             axes.label_outer()
         values = np.concatenate([field.values.ravel() for field in fields])
         ends = 1 * bool((values < scale[0]).any()) + 2 * bool((values > scale[1]).any())

@@ -16,6 +16,7 @@ from sphrom.arrays import Array
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS
 from sphrom.case.studies import trained_ranges
+from sphrom.metrics.grids import Slices, grid_points
 from sphrom.metrics.measures import Samples
 from sphrom.models.contract import Ability, Model
 from sphrom.sph.domain import Domain
@@ -76,27 +77,30 @@ def content(model: Model[Any]) -> bytes:
 def fields(model: Model[Any], n_columns: int) -> dict[str, Any]:
     """Return velocity and pressure of the modes at the centres of a grid's cells.
 
-    Outside of the fluid they are zero. Raises CaseError if the model has no such fields.
+    The grid is that of a picture, in space of slices. Outside of the fluid the fields are zero.
+    Raises CaseError if the model has no such fields.
     """
     domain = model.workspace.case.scene.domain
-    width, height = domain.lengths
-    n_rows = max(1, round(n_columns * height / width))
-    x = domain.lower[0] + width * (np.arange(n_columns) + 0.5) / n_columns
-    y = domain.lower[1] + height * (np.arange(n_rows) + 0.5) / n_rows
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    inside = domain.contains(points)
+    slices = Slices(domain.lower, domain.upper)
+    left, right, bottom, top = slices.extent
+    n_rows = max(1, round(n_columns * (top - bottom) / (right - left)))
+    points = slices.places(grid_points((left, bottom), (right, top), (n_rows, n_columns)))
+    inside = np.isfinite(points[:, 0])
+    inside[inside] = domain.contains(points[inside])
     samples: Samples = model.family.part("mode_samples")(model, points[inside])
-    modes = np.zeros((3, len(samples.pressure), len(points)), dtype=np.float32)
-    modes[:2, :, inside] = np.moveaxis(samples.velocity, 2, 0)
-    modes[2][:, inside] = samples.pressure
-    return {
+    n_dim = domain.n_dim
+    modes = np.zeros((n_dim + 1, len(samples.pressure), len(points)), dtype=np.float32)
+    modes[:n_dim, :, inside] = np.moveaxis(samples.velocity, 2, 0)
+    modes[n_dim][:, inside] = samples.pressure
+    found = {
         "nx": n_columns,
         "ny": n_rows,
-        "lower": list(domain.lower),
-        "upper": list(domain.upper),
+        "lower": [left, bottom],
+        "upper": [right, top],
         "inside": inside.reshape(n_rows, n_columns).astype(np.uint8),
-        "modes": modes.reshape(3, -1, n_rows, n_columns),
+        "modes": modes.reshape(n_dim + 1, -1, n_rows, n_columns),
     }
+    return found if slices.is_plane else found | {"slices": slices.rectangles}
 
 
 def _parameters(model: Model[Any]) -> list[dict[str, Any]]:
@@ -122,7 +126,7 @@ def _geometry(domain: Domain) -> dict[str, Any]:
         "upper": list(domain.upper),
         "periodic": list(domain.periodic),
         "walls": list(domain.wall_names),
-        "fluid": _polygons(domain.fluid),
+        "fluid": _polygons(domain.fluid) if domain.n_dim == 2 else [],
         "solids": [{"name": name, "polygons": _polygons(shape)} for name, shape in domain.polygons],
     }
 

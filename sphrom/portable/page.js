@@ -3,10 +3,13 @@
 const PLAYED = 8, N_SCALED = 12, N_SAMPLED = 1000;
 // Duration of a run on the page [s]; snapshots and places from which a colour scale is determined.
 const SHOWN = [0.005, 0.995];  // quantiles at the ends of a colour scale, as in all figures
-const QUANTITIES = {"speed": "m/s", "pressure": "Pa", "x-velocity": "m/s", "y-velocity": "m/s", "vorticity": "1/s"};
 const model = decoded(JSON.parse(document.getElementById("model").textContent));
 const COLOURS = JSON.parse(document.getElementById("colours").textContent);
-const {nx, ny, lower, upper, inside: {values: inside}} = model.fields, {periodic, fluid, solids} = model.geometry;
+const {nx, ny, lower, upper, inside: {values: inside}, slices} = model.fields, {periodic, solids} = model.geometry;
+// A box in space is shown by three slices side by side.
+const fluid = slices ? slices.map(([l, r, b, t]) => [[[l, b], [r, b], [r, t], [l, t]]]) : model.geometry.fluid;
+const QUANTITIES = {"speed": "m/s", "pressure": "Pa", "x-velocity": "m/s", "y-velocity": "m/s",
+  ...(slices ? {"z-velocity": "m/s"} : {"vorticity": "1/s"})};
 const {start, interval, n_snapshots: nSnapshots} = model.times, end = start + interval * (nSnapshots - 1);
 const size = upper.map((x, i) => x - lower[i]), indices = range(nx * ny);
 const $ = id => document.getElementById(id);
@@ -45,7 +48,7 @@ function derivative(values, axis) {
 }
 
 // Arrays of columns of a field; columns that are zero are missing. Those of the pressure are mixed.
-const [u, v, mixed] = range(3).map(field => {
+const fields = range(slices ? 4 : 3).map(field => {
   const {modes, scale, field: ofField, column} = model.fields, columns = [];
   ofField.forEach((other, row) => {
     if (other !== field) return;
@@ -54,12 +57,14 @@ const [u, v, mixed] = range(3).map(field => {
   });
   return columns;
 });
+const velocity = fields.slice(0, -1), mixed = fields.at(-1), [u, v, w] = velocity;
 const pressure = rowsOf(model.fields.mix).map(factors => onGrid(mixed, factors, nx * ny));
-const vorticity = v.map((column, i) => {
+const vorticity = slices ? [] : v.map((column, i) => {
   const across = derivative(u[i], 1);
   return derivative(column, 0).map((x, k) => x - across[k]);
 });
-const columnsOf = {"speed": [u, v], "pressure": [pressure], "x-velocity": [u], "y-velocity": [v], "vorticity": [vorticity]};
+const columnsOf = {"speed": velocity, "pressure": [pressure], "x-velocity": [u], "y-velocity": [v],
+  ...(slices ? {"z-velocity": [w]} : {"vorticity": [vorticity]})};
 const fluidPlaces = indices.filter(k => inside[k]);
 const sampledPlaces = fluidPlaces.filter((_, i) => i % Math.ceil(fluidPlaces.length / N_SAMPLED) === 0);
 const sampled = Object.fromEntries(Object.entries(columnsOf).map(([name, parts]) =>
@@ -79,8 +84,8 @@ for (let edge = fluidPlaces; edge.length;) {
 // Return a field's values, from the columns of its parts.
 function fieldOf(parts, at, n = nx * ny) {
   const offset = state.quantity === "pressure" ? model.sound_speed ** 2 * solution.mean : 0;
-  const [first, second] = parts.map(columns => onGrid(columns, at, n, offset));
-  return second ? first.map((x, k) => Math.hypot(x, second[k])) : first;
+  const [first, ...others] = parts.map(columns => onGrid(columns, at, n, offset));
+  return others.length ? first.map((x, k) => Math.hypot(x, ...others.map(other => other[k]))) : first;
 }
 
 // Return the state at a time, linear between snapshots.
@@ -260,9 +265,10 @@ function addOutlines() {
   frame.setAttribute("viewBox", `${left} ${-top} ${size[0]} ${size[1]}`);
   frame.append(make("path", {class: "solid", "fill-rule": "evenodd", d: path([box, ...fluid])}));
   solids.forEach(({name, polygons}) => frame.append(make("path", {class: "wall", d: path(polygons)}, make("title", {}, name))));
-  sides.filter((_, i) => !periodic[Math.floor(i / 2)]).forEach(([x1, y1, x2, y2]) =>
+  sides.filter((_, i) => !slices && !periodic[Math.floor(i / 2)]).forEach(([x1, y1, x2, y2]) =>
     frame.append(make("line", {class: "wall side", x1, y1: -y1, x2, y2: -y2})));
-  const ends = {left, right, bottom, top};
+  const depth = model.geometry.upper[2], ends = {left, right: slices ? depth : right, bottom, top: slices ? depth : top};
+  if (slices) ["rightward", "upward"].forEach((name, i) => { $(name).textContent = `${"xy"[i]}, then z [m]`; });
   Object.entries(ends).forEach(([side, value]) => { $(side).textContent = short(value); });
   Object.assign(canvas, {width: nx, height: ny});
   $("picture").style.cssText = `--ratio: ${size[0] / size[1]}`;

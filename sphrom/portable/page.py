@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from sphrom.errors import CaseError
+from sphrom.metrics.grids import Slices
 from sphrom.models.contract import Model
 from sphrom.plots.panels import SIGNED_MAP, SPEED_MAP, line_of
 from sphrom.portable import document
@@ -48,9 +49,11 @@ def content(model: Model[Any], n_columns: int | None = None) -> bytes:
     """
     found = document.document(model)
     if n_columns is None:
-        width, height = model.workspace.case.scene.domain.lengths
+        box = model.workspace.case.scene.domain
+        first, last, low, high = Slices(box.lower, box.upper).extent
+        width, height = last - first, high - low
         left = max(FOR_FIELDS, MOST_BYTES - len(json.dumps(document.encoded(found))))
-        n_cells = left / (WRITTEN * (3 * found["n_modes"] + found["n_own"] + 1))
+        n_cells = left / (WRITTEN * ((box.n_dim + 1) * found["n_modes"] + found["n_own"] + 1))
         n_columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, int(math.sqrt(n_cells * width / height))))
     fields = document.fields(model, n_columns)
     found = document.with_digest({**found, "fields": fields | _rounded(fields["modes"])})
@@ -86,17 +89,18 @@ def gradient(colours: str, n_colours: int = 9) -> list[str]:
 
 
 def _rounded(modes: Any) -> dict[str, Any]:
-    """Return modes (3, n_columns, ny, nx) as rows of whole numbers with a scale each.
+    """Return modes (n_dim + 1, n_columns, ny, nx) as rows of whole numbers with a scale each.
 
     A row of velocity has a component and a column; columns without velocity are left out. The
     pressure of a state is a small difference of large contributions, and so would be its rounding
     errors. Its rows are therefore orthogonal, and `mix` has their factors in each column.
     """
-    moving = np.flatnonzero(modes[:2].any(axis=(0, 2, 3)))
-    component = np.repeat([0, 1], len(moving))
-    column = np.tile(moving, 2)
+    n_dim = len(modes) - 1
+    moving = np.flatnonzero(modes[:n_dim].any(axis=(0, 2, 3)))
+    component = np.repeat(np.arange(n_dim), len(moving))
+    column = np.tile(moving, n_dim)
     flat = modes.reshape(*modes.shape[:2], -1).astype(np.float64)
-    left, sizes, orthogonal = np.linalg.svd(flat[2], full_matrices=False)
+    left, sizes, orthogonal = np.linalg.svd(flat[n_dim], full_matrices=False)
     kept = sizes > ROUNDING * sizes[0]
     rows = np.vstack((flat[component, column], orthogonal[kept]))
     largest = np.abs(rows).max(axis=1)
@@ -106,7 +110,7 @@ def _rounded(modes: Any) -> dict[str, Any]:
     return {
         "modes": whole.reshape(-1, *modes.shape[2:]),
         "scale": scale,
-        "field": [*component.tolist(), *[2] * n_pressure],
+        "field": [*component.tolist(), *[n_dim] * n_pressure],
         "column": [*column.tolist(), *range(1, 1 + n_pressure)],
         "mix": (left * sizes)[:, kept],
     }

@@ -6,7 +6,7 @@ the largest one; a Gram matrix would lose all values below the square root of ro
 pass over the blocks gives the modes S V / sigma. As S = Q R, any subset of the columns has the
 singular values and right vectors of the same columns of R: one factor serves all training sets.
 
-Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2); of modes the same.
+Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, n_dim); of modes the same.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from sphrom.reduction.trial_basis import JOINT, InnerProduct, TrialBasis
 
 ReadBlock = Callable[[slice], tuple[Array, Array]]
 """From a slice of points, the density fluctuation (n_snapshots, n_block) [kg/m3] and the velocity
-(n_snapshots, n_block, 2) [m/s] of all snapshots there."""
+(n_snapshots, n_block, n_dim) [m/s] of all snapshots there."""
 
 GRAM_TOLERANCE = 1e-13
 """Modes whose Gram matrix differs from the identity by more than this are orthonormalised again."""
 DEFAULT_RAM = 2**30
 EPSILON = float(np.finfo(np.float64).eps)
 N_FIELD_VALUES = 3
-"""Values of a state at one point: the first field and two components of the velocity."""
+"""Values of a state at one point in a plane: the first field and the velocity's components."""
 BLOCK_COPIES = 5
 """Copies of a block of snapshots alive at once: as read, weighted, as rows, stacked on R, in QR."""
 BYTES = 8
@@ -68,7 +68,7 @@ def decompose(
     n_block = _points_per_block(n_snapshots, ram_limit)
 
     def blocks() -> Iterator[tuple[slice, Array]]:
-        """Yield points and their weighted states (n_snapshots, 3 n): first field, velocity."""
+        """Yield points and their weighted states (n_snapshots, (1 + n_dim) n)."""
         for start in range(0, n_points, n_block):
             points = slice(start, min(start + n_block, n_points))
             density_fluctuation, velocity = read_block(points)
@@ -84,11 +84,14 @@ def decompose(
     spectra = {
         name: _spectrum(name, factor, columns, n_modes[name]) for name, columns in snapshots.items()
     }
-    modes = {name: np.empty((n_modes[name], N_FIELD_VALUES * n_points)) for name in snapshots}
+    modes: dict[str, Array] = {}
     for points, rows in blocks():
-        velocities = np.arange(2 * points.start, 2 * points.stop)
+        n_dim = rows.shape[1] // (points.stop - points.start) - 1
+        velocities = np.arange(n_dim * points.start, n_dim * points.stop)
         places = np.concatenate((np.arange(points.start, points.stop), n_points + velocities))
         for name, (_, to_modes) in spectra.items():
+            if not points.start:
+                modes[name] = np.empty((n_modes[name], (1 + n_dim) * n_points))
             modes[name][:, places] = to_modes @ rows
     bases = {}
     for name, (singular_values, _) in spectra.items():
@@ -99,7 +102,7 @@ def decompose(
         density, velocity = np.split(orthonormal, [n_points], axis=1)
         bases[name] = TrialBasis(
             density_modes=density / root,
-            velocity_modes=velocity.reshape(-1, n_points, 2) / root[:, None],
+            velocity_modes=velocity.reshape(len(velocity), n_points, -1) / root[:, None],
             singular_values={JOINT: singular_values},
             inner_product=product,
             weights=weights,

@@ -14,9 +14,9 @@ a state and the others are the modes. A part of f is then the sum of b_k b_l F_k
 k <= l. F_kl is S(e_k, e_l) = B(e_k, e_l) + B(e_l, e_k), halved for k = l; with k = 0 it also
 contains L e_l, and with k = l = 0 the source. The products of b are the monomials of a.
 
-Forms have four rows: the continuity equation (from which the mean may be subtracted) without
-advection, the advection of q, and two components of the velocity. Forms that concern the velocity
-only have two. A form is (n_rows, n_fields, n) at n points.
+Forms have a row for the continuity equation (from which the mean may be subtracted) without
+advection, one for the advection of q, and one for each component of the velocity. Forms that
+concern the velocity only have the latter. A form is (n_rows, n_fields, n) at n points.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ class LocalFields(Terms):
     all_density: Array
     """q (n_fields, n_points) at all points [m/s]."""
     all_velocity: Array
-    """(2, n_fields, n_points) at all points [m/s]."""
+    """(n_dim, n_fields, n_points) at all points [m/s]."""
     scaled_density: Array
     """q (n_fields, n) [m/s]."""
     velocity: Array
-    """(2, n_fields, n) [m/s]."""
+    """(n_dim, n_fields, n) [m/s]."""
     slopes: Array
-    """(3, 2, n_fields, n), the gradients of q and of the velocity [1/s]."""
+    """(1 + n_dim, n_dim, n_fields, n), the gradients of q and of the velocity [1/s]."""
     diffusion: Array
     """delta h c0 L q (n_fields, n) [m/s2]."""
 
@@ -76,7 +76,7 @@ class PointFields:
 
     Parameters
     ----------
-    scaled_density, velocity : q (n_points, n_fields) and (2, n_points, n_fields) [m/s].
+    scaled_density, velocity : q (n_points, n_fields) and (n_dim, n_points, n_fields) [m/s].
     slopes : their gradients.
     """
 
@@ -141,7 +141,7 @@ class Part(ABC):
         self.points = points
         self.sound_speed = points.sound_speed
         self.source = source
-        """(2, n_points), the rates of the velocity in fluid at rest; None if they are zero."""
+        """(n_dim, n_points), the rates of the velocity in fluid at rest; None if they are zero."""
 
     @abstractmethod
     def linear(self, of: LocalFields) -> Array:
@@ -155,7 +155,7 @@ class Part(ABC):
         raise NotImplementedError
 
     def push_of_heads(self, accelerations: Array, rows: slice) -> Array:
-        """Return K a (2, n_fields, n) at some points, of (2, n_fields, n_points) at all of them."""
+        """Return K a (n_dim, n_fields, n) at some points, of those at all points."""
         return self.points.head_push(accelerations.swapaxes(1, 2), rows).swapaxes(1, 2)
 
     def products(self, one: LocalFields, others: LocalFields) -> Array:
@@ -168,7 +168,7 @@ class Part(ABC):
         return pairs if self.is_quadratic else pairs[:n_fields]
 
     def columns(self, fields: LocalFields, pairs: Pairs) -> Array:
-        """Return F (2 or 4, n_pairs, n) of successive pairs of fields."""
+        """Return F (n_rows, n_pairs, n) of successive pairs of fields."""
         columns = []
         for k, run in groupby(pairs, key=lambda pair: pair[0]):
             seconds = [l for _, l in run]
@@ -182,7 +182,7 @@ class Part(ABC):
             if k == 0:
                 rows = rows + self.linear(others)
                 if self.source is not None and seconds[0] == 0:
-                    rows[-2:, 0] += self.source[:, fields.rows]
+                    rows[-len(self.source) :, 0] += self.source[:, fields.rows]
             columns.append(np.asarray(rows))
         return np.concatenate(columns, axis=1)
 
@@ -215,11 +215,12 @@ class Inertia(Part):
     def bilinear(self, by: LocalFields, of: LocalFields) -> Array:
         """Return -q D u - u . grad q, and q G (q - alpha h D u) - u . grad u + (1 + K) B(u, u)."""
         q = by.scaled_density
-        u, v = by.velocity
         compression = -q * of.divergence
-        rows = np.empty((4, *compression.shape))
+        rows = np.empty((2 + len(by.velocity), *compression.shape))
         rows[0] = compression
-        rows[1:] = -u * of.slopes[:, 0] - v * of.slopes[:, 1]
+        rows[1:] = -by.velocity[0] * of.slopes[:, 0]
+        for d in range(1, len(by.velocity)):
+            rows[1:] -= by.velocity[d] * of.slopes[:, d]
         rows[2:] += q * of.pressure_gradient
         if (tensor := self.points.quadratic_term) is not None:
             pairs = by.all_velocity[:, None] * of.all_velocity
@@ -295,7 +296,7 @@ def weighted(weights: Array, rows: Array) -> Array:
     return np.asarray(sum(w @ row.T for w, row in zip(used, rows, strict=True)))
 
 
-def rates_of(rows: Array) -> Array:
-    """Return the rates (3, ...) of q and the velocity from the rows of a form."""
-    first = rows[0] + rows[1] if len(rows) > 2 else np.zeros_like(rows[0])
-    return np.concatenate((first[None], rows[-2:]))
+def rates_of(rows: Array, n_dim: int) -> Array:
+    """Return the rates (1 + n_dim, ...) of q and the velocity from the rows of a form."""
+    first = rows[0] + rows[1] if len(rows) > n_dim else np.zeros_like(rows[0])
+    return np.concatenate((first[None], rows[-n_dim:]))

@@ -79,7 +79,7 @@ def snapshot_products(
     """Sum the products of snapshots over blocks of points.
 
     A block is its points, the density fluctuations (n_snapshots, n) [kg/m3] and the velocities
-    (n_snapshots, n, 2) [m/s]. `density_scale` times a density fluctuation is q.
+    (n_snapshots, n, n_dim) [m/s]. `density_scale` times a density fluctuation is q.
     """
     density = np.zeros((n_snapshots, n_snapshots))
     flow = np.zeros((n_snapshots, n_snapshots))
@@ -88,7 +88,7 @@ def snapshot_products(
         weights = basis.weights[rows]
         flat = velocity.reshape(n_snapshots, -1)
         density += (density_fluctuation * weights) @ density_fluctuation.T
-        flow += (flat * np.repeat(weights, 2)) @ flat.T
+        flow += (flat * np.repeat(weights, velocity.shape[2])) @ flat.T
         sums += density_fluctuation @ weights
     product = basis.inner_product
     total = float(basis.weights.sum())

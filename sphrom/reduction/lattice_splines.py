@@ -3,7 +3,8 @@
 If the reference points form a lattice and the fluid fills a box, one spline for the whole box can
 replace the polyharmonic splines of Eq. 3.17. It is twice continuously differentiable: an evaluation
 uses 16 coefficients instead of the 81 points of a cell, and nothing jumps between cells. Both are
-of fourth order in values and third order in gradients.
+of fourth order in values and third order in gradients. In three dimensions it uses 64, and
+the rows of nodes are in order of layers.
 
 Points are cell centres, half a spacing from the edges of the box. Along a periodic axis the spline
 is periodic. Along any other axis its third derivative is continuous at the second point from each
@@ -20,13 +21,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_banded
 
-from sphrom.arrays import Array, Indices
-from sphrom.kernels import bspline
-from sphrom.reduction.mode_splines import LatticeCoefficients, ModeSplines
+from sphrom.arrays import Array
+from sphrom.kernels import bspline, space_splines
+from sphrom.reduction.mode_splines import LatticeCoefficients, ModeSplines, Vector
 from sphrom.sph.domain import Domain
+from sphrom.sph.lattice import lattice_order
 
-LATTICE_TOLERANCE = 1e-6
-"""Largest distance of a point from the lattice, over its spacing."""
 NOT_A_KNOT = (1.0, -4.0, 6.0, -4.0, 1.0)
 """Combination of five successive coefficients that vanishes: the jump of the third derivative."""
 
@@ -48,29 +48,30 @@ class LatticeSplines(LatticeCoefficients, ModeSplines):
             n + (3 if periodic else 2)
             for n, periodic in zip(shape, self.domain.periodic, strict=True)
         )
-        if min(shape) < 1 or self.coefficients.shape[1::-1] != nodes:
+        if min(shape) < 1 or self.coefficients.shape[:2] != (math.prod(nodes[1:]), nodes[0]):
             raise ValueError(
                 f"coefficients {self.coefficients.shape} are not those of {shape} points"
             )
         object.__setattr__(self, "_axes", _cells(self.domain, shape))
-        flat = np.ascontiguousarray(self.coefficients).reshape(len(self.coefficients), -1)
+        flat = np.ascontiguousarray(self.coefficients).reshape(*nodes[:0:-1], -1)
         object.__setattr__(self, "_flat", flat)
 
     @property
     def n_columns(self) -> int:
-        return self.coefficients.shape[2]
+        return self.coefficients.shape[-1]
 
-    def _fill(self, x: Array, y: Array, *out: Array) -> None:
-        sweep = bspline.evaluate if len(out) == 1 else bspline.evaluate_with_gradients
-        x_axis, y_axis = self._axes
-        sweep(x, y, x_axis, y_axis, self._flat, *out)
+    def _fill(self, place: Vector, *out: Array) -> None:
+        kernels = bspline if len(place) == 2 else space_splines
+        sweep = kernels.evaluate if len(out) == 1 else kernels.evaluate_with_gradients
+        sweep(*place, *self._axes, self._flat, *out)
 
     def combine(self, coefficients: ArrayLike) -> LatticeSplines:
         # Row by row: one large product would use several threads.
         return replace(self, coefficients=self.coefficients @ np.asarray(coefficients))
 
     def first(self, n_modes: int) -> LatticeSplines:
-        return replace(self, coefficients=self.coefficients[..., : 3 * n_modes].copy())
+        n_columns = (1 + len(self.lattice_shape)) * n_modes
+        return replace(self, coefficients=self.coefficients[..., :n_columns].copy())
 
 
 def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) -> LatticeSplines:
@@ -78,18 +79,18 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
 
     Parameters
     ----------
-    points : (n_points, 2) the reference points [m].
+    points : (n_points, n_dim) the reference points [m].
     values : (n_points, n_columns), the values of the functions there, such as the modes by field.
 
     Raises ValueError if the points are not the cell centres of a lattice that fills the box.
     """
-    shape, order = _lattice_order(domain.wrap(np.asarray(points, dtype=np.float64)), domain)
-    ordered = np.asarray(values)[order].reshape(shape[1], shape[0], -1)
-    along_y = _along_first_axis(ordered, domain.periodic[1])
-    along_x = _along_first_axis(along_y.transpose(1, 0, 2), domain.periodic[0])
+    shape, order = lattice_order(domain.wrap(np.asarray(points, dtype=np.float64)), domain)
+    nodes = np.asarray(values)[order].reshape(*shape[::-1], -1)
+    for axis, periodic in enumerate(domain.periodic[::-1]):
+        nodes = _along_first_axis(nodes.swapaxes(0, axis), periodic).swapaxes(0, axis)
     return LatticeSplines(
         lattice_shape=np.array(shape, dtype=np.int64),
-        coefficients=np.ascontiguousarray(along_x.transpose(1, 0, 2)),
+        coefficients=np.ascontiguousarray(nodes).reshape(-1, *nodes.shape[-2:]),
         domain=domain,
     )
 
@@ -111,28 +112,13 @@ def _cells(domain: Domain, shape: tuple[int, ...]) -> tuple[bspline.Axis, ...]:
     return tuple(axes)
 
 
-def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], Indices]:
-    """Return the lattice's shape, and the indices of its points in `position`, row by row."""
-    near_first = LATTICE_TOLERANCE * math.sqrt(math.prod(domain.lengths) / len(position))
-    n_rows = int(np.count_nonzero(np.abs(position[:, 0] - position[0, 0]) < near_first))
-    n_columns = len(position) // n_rows
-    shape = np.array((n_columns, n_rows))
-    cells = (position - domain.lower) / domain.lengths * shape - 0.5
-    nearest = np.rint(cells).astype(np.int64)
-    number = nearest[:, 1] * n_columns + nearest[:, 0]
-    is_near = np.abs(cells - nearest) < LATTICE_TOLERANCE
-    if not (is_near.all() and np.array_equal(np.sort(number), np.arange(n_columns * n_rows))):
-        raise ValueError("B-splines need points on a lattice, and these are not on one")
-    return (n_columns, n_rows), np.argsort(number)
-
-
 def _along_first_axis(values: Array, periodic: bool) -> Array:
     """Return the coefficients of the spline through values (n_points, ...) at the points."""
     n_points = len(values)
     if periodic:
         angle = 2.0 * np.pi * np.arange(n_points // 2 + 1) / n_points
         response = (4.0 + 2.0 * np.cos(angle)) / 6.0
-        spectrum = np.fft.rfft(values, axis=0) / response[:, None, None]
+        spectrum = np.fft.rfft(values, axis=0) / response.reshape(-1, *(1,) * (values.ndim - 1))
         coefficients = np.fft.irfft(spectrum, n_points, axis=0)
         return coefficients[np.arange(-1, n_points + 2) % n_points]
     matrix = np.zeros((9, n_points + 2))

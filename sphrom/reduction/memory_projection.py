@@ -101,9 +101,10 @@ class _Rates:
         return PointFields(self._points, q, velocity, slopes).at(EVERYWHERE)
 
     def _rates(self, rows: Array) -> Array:
-        """Return rates (3, n_fields, n_points), less the mean if the volume is fixed."""
-        rates = rates_of(rows)
-        if self._points.fixed_volume and len(rows) > 2:
+        """Return rates (1 + n_dim, n_fields, n_points), less the mean if the volume is fixed."""
+        n_dim = len(self._modes.velocity)
+        rates = rates_of(rows, n_dim)
+        if self._points.fixed_volume and len(rows) > n_dim:
             rates[0] -= rows[0].mean(axis=1, keepdims=True)
         return rates
 

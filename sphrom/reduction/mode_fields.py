@@ -21,7 +21,7 @@ BLOCK_VALUES = 2**21
 """Number of values of a field in a block of points."""
 
 Gradients = Callable[[Rows], Array]
-"""Return the gradients (3, 2, n, n_fields) [1/s] of q and velocity of all fields at some points."""
+"""Return gradients (1 + n_dim, n_dim, n, n_fields) [1/s] of q and velocity at some points."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class ModeFields:
     scaled_density: Array
     """q (n_points, n_fields) [m/s]."""
     velocity: Array
-    """(2, n_points, n_fields) [m/s]."""
+    """(n_dim, n_points, n_fields) [m/s]."""
     density_ratio: float
     """q over the first field of the basis: one in the acoustic product."""
     n_modes: int
@@ -62,7 +62,7 @@ def mode_fields(basis: TrialBasis, points: FixedPoints) -> ModeFields:
 
 
 def weighted_rows(basis: TrialBasis, fields: ModeFields, rows: Rows) -> Array:
-    """Return the weights (n_modes, 3, n) of the rates of q and velocity at some points.
+    """Return the weights (n_modes, 1 + n_dim, n) of the rates of q and velocity at some points.
 
     The weighted sum of the rates over all points is the projection (Eq. 3.21).
     """
@@ -90,8 +90,9 @@ def mode_gradients(
 
     def by_splines(rows: Rows) -> Array:
         gradients = splines.values_and_gradients(points.position[rows])[1]
-        out = np.zeros((3, 2, len(gradients), fields.n_fields))
-        by_column = gradients.reshape(len(gradients), fields.n_modes, 3, 2)
+        n_dim = gradients.shape[2]
+        out = np.zeros((1 + n_dim, n_dim, len(gradients), fields.n_fields))
+        by_column = gradients.reshape(len(gradients), fields.n_modes, 1 + n_dim, n_dim)
         out[..., : fields.n_modes] = by_column.transpose(2, 3, 0, 1)
         out[0] *= fields.density_ratio
         return out
@@ -114,7 +115,7 @@ class FieldProjections:
         density = density - weighted_mean(density, self._share)[:, None]
         velocity = fields.velocity.transpose(2, 0, 1).reshape(fields.n_fields, -1)
         self._columns = velocity, density
-        self._weights = np.tile(self._share, 2), self._share
+        self._weights = np.tile(self._share, len(fields.velocity)), self._share
         pairs = zip(self._columns, self._weights, strict=True)
         self.gram = np.stack([(columns * weights) @ columns.T for columns, weights in pairs])
         """(2, n_fields, n_fields) products of the modes with each other."""
@@ -122,7 +123,8 @@ class FieldProjections:
     def products(self, scaled_density: Array, velocity: Array) -> tuple[Array, Array]:
         """Return projections (n_states, 2, n_fields) and squares (n_states, 2) of states.
 
-        `scaled_density` is q (n_states, n_points) and `velocity` (n_states, n_points, 2), in [m/s].
+        `scaled_density` is q (n_states, n_points) and `velocity` (n_states, n_points, n_dim), both
+        in [m/s].
         """
         density = scaled_density - weighted_mean(scaled_density, self._share)[:, None]
         states = velocity.transpose(0, 2, 1).reshape(len(velocity), -1), density

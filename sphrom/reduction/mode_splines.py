@@ -21,9 +21,10 @@ CELL_WIDTH_RATIO = 3.0
 error of a cubic spline is six times larger and evaluation 1.5 times faster; at 4 (144 points) the
 error is three times smaller and evaluation 1.5 times slower."""
 
-
+Vector = tuple[Array, ...]
+"""Coordinates (n_positions,) by axis [m]."""
 Values = Callable[[Array], Array]
-"""Return the fields (n_positions, 3 n_modes) of modes at positions (n_positions, 2) [m]."""
+"""Return fields (n_positions, (1 + n_dim) n_modes) of modes at positions (n_positions, n_dim)."""
 
 
 class ModeSplines(ABC):
@@ -40,34 +41,34 @@ class ModeSplines(ABC):
 
     @abstractmethod
     def first(self, n_modes: int) -> ModeSplines:
-        """Return the splines of the first modes, of three functions each."""
+        """Return the splines of the first modes, of `1 + n_dim` functions each."""
 
     @abstractmethod
-    def _fill(self, x: Array, y: Array, *out: Array) -> None:
-        """Fill values (n_positions, n_columns) at coordinates x, y (n_positions,) [m].
+    def _fill(self, place: Vector, *out: Array) -> None:
+        """Fill values (n_positions, n_columns) at coordinates (n_positions,) by axis [m].
 
-        A second array is filled with gradients (n_positions, n_columns, 2).
+        A second array is filled with gradients (n_positions, n_columns, n_dim).
         """
 
     def values(self, positions: ArrayLike, out: Array | None = None) -> Array:
-        """Return all functions (Eq. 3.20) at positions (n_positions, 2) [m].
+        """Return all functions (Eq. 3.20) at positions (n_positions, n_dim) [m].
 
         Along periodic axes any position is valid. Along the others, positions beyond the points are
         extrapolated from the nearest cell. The result is NaN where there is no spline.
 
         `out` (n_positions, n_columns) is a C-contiguous array to write to; by default a new one.
         """
-        x, y = coordinates(positions)
-        out = np.empty((x.size, self.n_columns)) if out is None else out
-        self._fill(x, y, out)
+        place = coordinates(positions)
+        out = np.empty((place[0].size, self.n_columns)) if out is None else out
+        self._fill(place, out)
         return out
 
     def values_and_gradients(self, positions: ArrayLike) -> tuple[Array, Array]:
-        """Return all functions, and their gradients (n_positions, n_columns, 2) [1/m]."""
-        x, y = coordinates(positions)
-        values = np.empty((x.size, self.n_columns))
-        gradients = np.empty((x.size, self.n_columns, 2))
-        self._fill(x, y, values, gradients)
+        """Return all functions, and their gradients (n_positions, n_columns, n_dim) [1/m]."""
+        place = coordinates(positions)
+        values = np.empty((place[0].size, self.n_columns))
+        gradients = np.empty((*values.shape, len(place)))
+        self._fill(place, values, gradients)
         return values, gradients
 
 
@@ -112,13 +113,12 @@ class LatticeCoefficients(Record):
     )  # fmt: skip
 
 
-def coordinates(positions: ArrayLike) -> tuple[Array, Array]:
-    """Return positions (n, 2) as x and y (n,) each."""
-    x, y = np.asarray(positions, dtype=np.float64).T
-    return np.ascontiguousarray(x), np.ascontiguousarray(y)
+def coordinates(positions: ArrayLike) -> Vector:
+    """Return positions (n, n_dim) as coordinates (n,) by axis."""
+    return tuple(np.ascontiguousarray(x) for x in np.asarray(positions, dtype=np.float64).T)
 
 
 def basis_columns(basis: TrialBasis) -> Array:
-    """Return a basis as columns (n_points, 3 n_modes): first field and velocity, mode by mode."""
+    """Return first field and velocity, mode by mode, as columns (n_points, (1 + n_dim) n_modes)."""
     modes = np.concatenate((basis.density_modes[..., None], basis.velocity_modes), axis=2)
     return np.ascontiguousarray(modes.transpose(1, 0, 2).reshape(modes.shape[1], -1))

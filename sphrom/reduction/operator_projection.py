@@ -34,7 +34,7 @@ from sphrom.sph.fixed_points import FixedPoints
 Advance = Callable[[int], None]
 """Called with the number of points that were completed."""
 Weigh = Callable[[slice], Array]
-"""Return the weights (n_weights, 4, n) of the rows of forms at some points."""
+"""Return the weights (n_weights, 2 + n_dim, n) of the rows of forms at some points."""
 
 DROPPED = 1e-5
 """Directions are dropped if their singular value, over the largest, is below this."""
@@ -129,7 +129,7 @@ def project_pressure(
     pressure_modes : q (n_pressure_modes, n_points) [m/s] without mean; the basis is acoustic.
     """
     own = np.ascontiguousarray(pressure_modes.T)
-    at_rest = np.zeros((2, *own.shape))
+    at_rest = np.zeros((basis.n_dim, *own.shape))
     pushes = points.sound_speed * points.terms(own, at_rest).pressure_gradient
     modes = mode_fields(basis, points)
     weights = basis.weights[:, None]
@@ -159,7 +159,7 @@ def project_pressure(
 def _residual_columns(
     points: FixedPoints, basis: TrialBasis, splines: ModeSplines | None, projected: Array
 ) -> Callable[[slice], Array]:
-    """Return a function for the residual's columns (3 n, n_columns) at some points.
+    """Return a function for the residual's columns ((1 + n_dim) n, n_columns) at some points.
 
     They are orthogonal to the modes and weighted as in the product. `projected` are the packed
     operators (n_modes, n_columns) of all parts.
@@ -171,7 +171,7 @@ def _residual_columns(
     if points.fixed_volume:
 
         def share(rows: slice) -> Array:
-            weights = np.zeros((1, 4, rows.stop - rows.start))
+            weights = np.zeros((1, 2 + basis.n_dim, rows.stop - rows.start))
             weights[:, 0] = 1.0 / points.n_points
             return weights
 
@@ -180,7 +180,7 @@ def _residual_columns(
     def columns(rows: slice) -> Array:
         fields = states.at(rows)
         by_part = [part.columns(fields, part.pairs(states.n_fields)) for part in parts.values()]
-        rates = np.concatenate([rates_of(forms) for forms in by_part], axis=1)
+        rates = np.concatenate([rates_of(forms, basis.n_dim) for forms in by_part], axis=1)
         rates[0] = (rates[0] - means) / density_ratio
         rates[0] -= projected.T @ basis.density_modes[:, rows]
         rates[1:] -= projected.T @ basis.velocity_modes[:, rows].transpose(2, 0, 1)

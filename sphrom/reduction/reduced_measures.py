@@ -272,7 +272,7 @@ def _kept_terms(modes: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 Measuring = Callable[[Array, Array], Mapping[str, Quantities]]
-"""Measured quantities of a density fluctuation (n_positions,) and velocity (n_positions, 2)."""
+"""Measured quantities of a density fluctuation (n_positions,) and velocity (n_positions, n_dim)."""
 
 
 class ReducedMeasure(Record):
@@ -310,10 +310,10 @@ def project_measures(
 ) -> dict[str, ReducedMeasure]:
     """Project measurements onto a basis, given the values of its modes.
 
-    `measured` must be affine in the fields at positions (n_positions, 2) [m].
+    `measured` must be affine in the fields at positions (n_positions, n_dim) [m].
     """
     product = basis.inner_product
-    modes = values(position).reshape(len(position), -1, 3)
+    modes = values(position).reshape(len(position), -1, 1 + position.shape[1])
     fields = np.concatenate((np.zeros((2, *modes.shape[::2])), modes.swapaxes(0, 1)))
     density, velocity = fields[..., 0] / product.density_scale, fields[..., 1:]
     density[0] = product.density_fluctuation(density[0])

@@ -24,10 +24,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sphrom.arrays import Array
-from sphrom.kernels import SUPPORT_RATIO, interpolation
+from sphrom.kernels import SUPPORT_RATIO, interpolation, space_fits
 from sphrom.metrics.elevation import HALF, Filled
 from sphrom.sph.domain import Domain
-from sphrom.sph.neighbourhood import sort_sources
+from sphrom.sph.neighbourhood import periodic_images, sort_sources
 
 FULL, N_NEAR = 0.95, 6
 """Where less than this share is filled, within 1.7 spacings of a free surface, values are limited
@@ -38,9 +38,10 @@ class TooFewParticlesError(ValueError):
     """The particles around a point do not determine an interpolation."""
 
     def __init__(self, number: int, place: Array, reach: float) -> None:
+        at = ", ".join(f"{x:.4g}" for x in place)
         super().__init__(
             f"too few particles, or all on one curve, within {reach:.3g} m of the point "
-            f"({place[0]:.4g}, {place[1]:.4g}) to interpolate there"
+            f"({at}) to interpolate there"
         )
         self.number = number
         """Index of the point."""
@@ -51,7 +52,7 @@ class ReferenceMap:
 
     Parameters
     ----------
-    points : (n_points, 2), the points to interpolate to [m].
+    points : (n_points, n_dim), the points to interpolate to [m].
     smoothing_length : of the kernel that weights particles [m].
     method : "shepard" or "mls" (moving least squares of second order).
     filled : the share of space that fluid with a free surface fills at the points; fields are zero
@@ -78,22 +79,33 @@ class ReferenceMap:
         if filled is None:
             away = domain.wall_distance(self._points.T) / self._reach
             self._linear = np.maximum(0.0, 1.0 - away)
-        self._scratch = np.zeros((interpolation.N_CHUNKS, 90))
+        self._n_dim = points.shape[1]
+        rows = (90,) if self._n_dim == 2 else (space_fits.N_ROWS, space_fits.WIDTH)
+        self._scratch = np.zeros((interpolation.N_CHUNKS, *rows))
 
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> tuple[Array, Array]:
-        """Map one snapshot: densities (n_points,) and velocities (n_points, 2).
+        """Map one snapshot: densities (n_points,) and velocities (n_points, n_dim).
 
         Raises TooFewParticlesError if those near a point are too few or determine no polynomial.
         """
         reach = self._reach
+        n_dim = self._n_dim
+        fields = np.stack((density_fluctuation, *velocity.T))
+        out = np.empty((n_dim + 1, self._points.shape[1]))
+        if n_dim == 3:
+            particle, image = periodic_images(position.T, self.domain, reach)
+            place = position.T[:, particle] + image
+            order, cells = space_fits.sort_by_cell(place, 0.5 * self.smoothing_length)
+            source = np.concatenate((place[:, order], fields[:, particle[order]]))
+            space_fits.moving_least_squares(
+                self._points, self._linear, source, cells, reach, self._scratch, out
+            )
+            return self._checked(out)
         sources = sort_sources(position.T, self.domain, reach, self.particle_spacing)
-        source = np.empty((5, sources.particle.size))
-        source[:2] = position.T[:, sources.particle] + sources.image
-        source[2] = density_fluctuation[sources.particle]
-        source[3:] = velocity.T[:, sources.particle]
-        out = np.empty((3, self._points.shape[1]))
+        place = position.T[:, sources.particle] + sources.image
+        source = np.concatenate((place, fields[:, sources.particle]))
         search = sources.search(reach, self.smoothing_length)
         if self.method == "mls":
             interpolation.moving_least_squares(
@@ -113,7 +125,11 @@ class ReferenceMap:
             high[0] = np.maximum(high[0], 0.0)
             out[:, edge] = np.clip(out[:, edge], low, high)
             out[:, (share < HALF) | ~np.isfinite(out).all(axis=0)] = 0.0
+        return self._checked(out)
+
+    def _checked(self, out: Array) -> tuple[Array, Array]:
+        """Return mapped fields (1 + n_dim, n_points) as density and velocity, if all are finite."""
         if not np.isfinite(out).all():
             number = int(np.flatnonzero(~np.isfinite(out).all(axis=0))[0])
-            raise TooFewParticlesError(number, self._points[:, number], reach)
+            raise TooFewParticlesError(number, self._points[:, number], self._reach)
         return out[0], np.ascontiguousarray(out[1:].T)

@@ -37,7 +37,13 @@ from scipy.linalg import lapack
 from sphrom.arrays import Array, Indices
 from sphrom.kernels import polyharmonic
 from sphrom.kernels.cells import Grid, sort_by_cell
-from sphrom.reduction.mode_splines import CELL_WIDTH_RATIO, CellSplines, ModeSplines, coordinates
+from sphrom.reduction.mode_splines import (
+    CELL_WIDTH_RATIO,
+    CellSplines,
+    ModeSplines,
+    Vector,
+    coordinates,
+)
 from sphrom.sph.domain import Domain
 
 FACES = ((0, -1), (0, 1), (-1, 0), (1, 0))
@@ -59,7 +65,8 @@ def fitting_cells(domain: Domain, cell_width: float) -> tuple[int, int]:
 def cell_grid(domain: Domain, cell_shape: tuple[int, int]) -> Grid:
     """Return the grid that divides a domain into cells."""
     width, height = (length / n for length, n in zip(domain.lengths, cell_shape, strict=True))
-    return Grid(*domain.lower, width, height, *cell_shape)
+    left, low = domain.lower
+    return Grid(left, low, width, height, *cell_shape)
 
 
 def length_scale(grid: Grid) -> float:
@@ -214,14 +221,14 @@ class LocalSplines(CellSplines, ModeSplines):
         """The cells [m]."""
         return cell_grid(self.domain, (int(self.cell_shape[0]), int(self.cell_shape[1])))
 
-    def _fill(self, x: Array, y: Array, *out: Array) -> None:
+    def _fill(self, place: Vector, *out: Array) -> None:
         sweep: Callable[..., None] = polyharmonic.evaluate
         if len(out) == 2:
             sweep = polyharmonic.evaluate_with_gradients
         most = int(np.max(np.diff(self.cell_start))) + self.polynomial_weights.shape[1]
         scratch = np.empty((polyharmonic.N_CHUNKS, 2 * len(out), most))
         # Kernels take positions inside the domain, cell by cell.
-        inside_x, inside_y = coordinates(self.domain.wrap(np.column_stack((x, y))))
+        inside_x, inside_y = coordinates(self.domain.wrap(np.column_stack(place)))
         particle, start = sort_by_cell(inside_x, inside_y, self.grid)
         sweep(
             inside_x,

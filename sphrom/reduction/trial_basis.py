@@ -8,7 +8,7 @@ In a closed box the spatial mean of the density drives no flow, and it may drift
 therefore treat it as a separate variable. Every state is then stripped of its mean (with the
 weights of the rows), so all modes have zero mean and are orthogonal to a constant density.
 
-Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2); of modes the same.
+Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, n_dim); of modes the same.
 
 The largest speed and the kinetic energy of a reduced run follow from its coordinates. The largest
 speed over all points and snapshots is found without evaluating most points: the speed at a point is
@@ -105,6 +105,11 @@ class TrialBasis(StoredBasis):
         """Number of modes."""
         return len(self.density_modes)
 
+    @property
+    def n_dim(self) -> int:
+        """Number of components of the velocity."""
+        return self.velocity_modes.shape[2]
+
 
 def weighted_mean(field: Array, weights: Array) -> Array:
     """Return the mean (...) of a field (..., n_points) with weights (n_points,)."""
@@ -122,7 +127,7 @@ def mean_density_fluctuation(basis: TrialBasis, density_fluctuation: Array) -> A
 
 
 def project(basis: TrialBasis, density_fluctuation: Array, velocity: Array) -> Array:
-    """Return the generalized coordinates (..., n_modes) of states (..., n_points[, 2]).
+    """Return the generalized coordinates (..., n_modes) of states (..., n_points[, n_dim]).
 
     They give the best approximation in the inner product of the basis. With a separate mean, it is
     that of the states without their mean density fluctuation.
@@ -142,8 +147,9 @@ def reconstruct(
 ) -> tuple[Array, Array]:
     """Return the states with coordinates (..., n_modes) (Eq. 3.7).
 
-    They are the density fluctuation (..., n_points) [kg/m3] and the velocity (..., n_points, 2)
-    [m/s]. `mean` (...) [kg/m3] is the mean density fluctuation of a basis that separates it.
+    They are the density fluctuation (..., n_points) [kg/m3] and the velocity
+    (..., n_points, n_dim) [m/s]. `mean` (...) [kg/m3] is the mean density fluctuation of a basis
+    that separates it.
     """
     first_field = np.tensordot(generalized_coordinates, basis.density_modes, 1)
     velocity = np.tensordot(generalized_coordinates, basis.velocity_modes, 1)
@@ -165,7 +171,7 @@ def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
 
 def with_pressures(basis: TrialBasis, modes: Array) -> TrialBasis:
     """Return a basis with more modes, which have the first field (n_modes, n_points) alone."""
-    velocity = np.zeros((*modes.shape, 2))
+    velocity = np.zeros((*modes.shape, basis.n_dim))
     return replace(
         basis,
         density_modes=np.concatenate((basis.density_modes, modes)),
@@ -186,7 +192,7 @@ class ModeVelocities:
 
     def __init__(self, basis: TrialBasis) -> None:
         self._modes = basis.velocity_modes
-        self._speeds = np.hypot(self._modes[..., 0], self._modes[..., 1])
+        self._speeds = np.hypot.reduce(self._modes, axis=-1)
         columns = self._modes.reshape(basis.n_modes, -1)
         self._products = columns @ columns.T
 
@@ -202,7 +208,7 @@ class ModeVelocities:
 
     def _largest_at(self, coordinates: Array, points: NDArray[np.int64]) -> float:
         velocity = np.tensordot(coordinates, self._modes[:, points], 1)
-        return float(np.sqrt(np.max(velocity[..., 0] ** 2 + velocity[..., 1] ** 2)))
+        return float(np.sqrt(np.max(np.sum(velocity**2, axis=-1))))
 
     def kinetic_energy(self, coordinates: Array, mass: float) -> Array:
         """Return the energy (n_states,) [J/m] of coordinates (n_states, n_modes).

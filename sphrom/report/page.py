@@ -87,11 +87,12 @@ def animation(
     legends: Sequence[Html],
     caption: str,
     extent: Sequence[str] = ("", "", "", ""),
+    labels: Sequence[str] = ("x [m]", "y [m]"),
 ) -> Html:
     """Return an animation of PNG images, with a head above each column of panels.
 
     A slider and a button control it; without scripts, the middle frame is shown. `extent` has the
-    ends of the axes of each panel: left, right, lower, upper [m].
+    ends of the axes of each panel: left, right, lower, upper [m]; `labels` are those of the axes.
     """
     middle, (left, right, lower, upper) = len(frames) // 2, extent
     encoded = [base64.b64encode(frame).decode("ascii") for frame in frames]
@@ -102,9 +103,9 @@ def animation(
         element(
             "div",
             element("div", *(element("span", head) for head in heads), class_="heads"),
-            _axis("y", upper, lower, 2),
+            _axis("y", (upper, labels[1], lower), 2),
             _image(frames[middle], caption),
-            _axis("x", left, right, len(heads)),
+            _axis("x", (left, labels[0], right), len(heads)),
             class_="panels",
         ),
         element(
@@ -147,9 +148,9 @@ def render(
     )
 
 
-def _axis(name: str, first: str, last: str, number: int) -> Html:
-    """Return the ends of an axis, with its name between them, for a number of panels."""
-    ends = element("span", *(element("i", text) for text in (first, f"{name} [m]", last)))
+def _axis(name: str, texts: Sequence[str], number: int) -> Html:
+    """Return the ends of an axis, with its label between them, for a number of panels."""
+    ends = element("span", *(element("i", text) for text in texts))
     return element("div", *[ends] * number, class_=f"axis {name}", aria_hidden="true")
 
 

@@ -291,8 +291,9 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
     with StoredRun.opened(workspace, point) as full:
         times = full.time
         chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
-        full_samples = full.sampled(probes.grid, chosen.tolist())
-    samples = reduced.sampled(probes.grid, chosen.tolist())
+        full_samples = full.sampled(probes.pictured, chosen.tolist())
+    samples = reduced.sampled(probes.pictured, chosen.tolist())
+    frame = frame_of(workspace.case)
     rows, legends = [], []
     for quantity in QUANTITIES:
         fields = side_by_side(
@@ -319,7 +320,8 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
         ],
         times=[f"{times[snapshot]:.4g}" for snapshot in chosen],
         heads=("full", name, "difference"),
-        extent=[f"{end:g}" for end in frame_of(workspace.case).extent],
+        extent=[f"{end:g}" for end in frame.ends],
+        labels=frame.labels,
         legends=legends,
         caption=f"{point.label}: speed above, pressure below; full run, {name}, and their "
         f"difference, from t = {times[chosen[0]]:.4g} s to {times[chosen[-1]]:.4g} s. All frames "

@@ -23,6 +23,7 @@ from sphrom.arrays import Array
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Resistance
+from sphrom.sph.space_box import SpaceBox
 from sphrom.sph.terms import Term
 
 VectorField = Callable[[Array], Array]
@@ -140,7 +141,7 @@ class CustomFlow(Scene):
     wall_velocities: Mapping[str, VectorField]
     """Velocities [m/s] of moving walls at places on them, by the walls' names."""
     start: Callable[[Array], Array]
-    """Velocity [m/s] and pressure [Pa] (n_points, 3) at positions (n_points, 2) [m]."""
+    """Velocity [m/s] and pressure [Pa] (n_points, n_dim + 1) at positions (n_points, n_dim) [m]."""
     body_force: BodyForce | None = None
     resistance: Resistance | None = None
     wall_amplitudes: Mapping[str, Amplitude] = field(default_factory=dict)
@@ -164,10 +165,10 @@ class CustomFlow(Scene):
         return lambda time: np.array([factor(time) for factor in factors])[nearest]
 
     def initial_velocity(self, position: Array) -> Array:
-        return self.start(position)[:, :2]
+        return self.start(position)[:, :-1]
 
     def initial_pressure(self, position: Array) -> Array:
-        return self.start(position)[:, 2]
+        return self.start(position)[:, -1]
 
     def wall_velocity(self, position: Array) -> Array:
         velocity = np.zeros_like(position)
@@ -231,6 +232,34 @@ class TaylorGreen(Scene):
         return self.pressure_sign * amplitude * decay * (np.cos(x) + np.cos(y))
 
 
+@dataclass(frozen=True)
+class TaylorGreen3D(Scene):
+    """The vortex of Taylor and Green in a periodic cube (Brachet et al., J. Fluid Mech. 130, 1983).
+
+    It starts as u = sin x cos y cos z, v = -cos x sin y cos z, w = 0, and has no closed solution.
+    """
+
+    length: float
+    speed: float
+    reference_density: float
+
+    @property
+    def domain(self) -> Domain:
+        """The cube, periodic along all axes."""
+        return SpaceBox((0.0,) * 3, (self.length,) * 3, (True,) * 3)
+
+    def initial_velocity(self, position: Array) -> Array:
+        x, y, z = (2.0 * math.pi / self.length * position).T
+        u = np.sin(x) * np.cos(y) * np.cos(z)
+        v = -np.cos(x) * np.sin(y) * np.cos(z)
+        return self.speed * np.stack((u, v, np.zeros_like(u)), axis=1)
+
+    def initial_pressure(self, position: Array) -> Array:
+        x, y, z = (4.0 * math.pi / self.length * position).T
+        scale = self.reference_density * self.speed**2 / 16.0
+        return scale * (np.cos(x) + np.cos(y)) * (np.cos(z) + 2.0)
+
+
 LID_EXPONENT = 14
 """Flatness of the regularised lid's profile (Rodriguez et al., section 4.2)."""
 
@@ -282,6 +311,29 @@ class LidDrivenCavity(Scene):
         velocity = np.zeros_like(position)
         on_lid = (y > self.length) & (x >= 0.0) & (x <= self.length)
         velocity[on_lid, 0] = self.lid_velocity(x[on_lid])
+        return velocity
+
+
+@dataclass(frozen=True)
+class LidDrivenCube(LidDrivenCavity):
+    """The cavity [0, L]^3, whose top wall moves along x.
+
+    The speed of the regularised lid also vanishes at its ends along z.
+    """
+
+    @property
+    def domain(self) -> Domain:
+        """The cube, with walls all around."""
+        return SpaceBox((0.0,) * 3, (self.length,) * 3, (False,) * 3)
+
+    def wall_velocity(self, position: Array) -> Array:
+        x, y, z = position.T
+        velocity = np.zeros_like(position)
+        beside = (np.minimum(x, z) < 0.0) | (np.maximum(x, z) > self.length)
+        on_lid = (y > self.length) & ~beside
+        if self.speed:
+            along_x = self.lid_velocity(x[on_lid])
+            velocity[on_lid, 0] = along_x * self.lid_velocity(z[on_lid]) / self.speed
         return velocity
 
 

@@ -14,16 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sphrom.case.hints import few_snapshots, slow_sweep, sweep_beyond_training
+from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
-from sphrom.console import Reporter
+from sphrom.console import Reporter, StageTime
 from sphrom.errors import ResourceError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
 from sphrom.reduction.decomposition import (
     BYTES,
-    N_FIELD_VALUES,
     decomposition_bytes,
     smallest_block,
 )
@@ -50,8 +50,22 @@ SPARSE_NUMBERS = 6
 """Numbers per neighbour in the sums that operators hold: four matrices, each with half an index."""
 TENSOR_COPIES = 14
 """Copies of a closure's largest tensor, or of an estimate's factor, while they are made."""
-SECONDS_PER_NEIGHBOUR = 5e-8
+SECONDS_PER_NEIGHBOUR = 3e-8
 """Time per step and neighbour of a particle on one core, measured on the three demo cases."""
+GHOST = 4.5
+"""The cost of a ghost over that of a particle, with the terms of walls."""
+AT_NO_MODE, EACH_MODE = 1.1, (4.5, 0.8)
+"""A Galerkin step's cost over the full model's: without modes, and that of polyharmonic splines at
+no mode and for each, over the root of the number of neighbours."""
+B_SPLINES = (0.92, 0.053)
+"""The same cost with B-splines, at no mode and for each. All measured in processor time at 48
+neighbours (80x80, lid-driven cavity) and 200 (150x150, Taylor-Green), M = 5 to 30."""
+CLOSURE = 1.1
+"""The additional cost of a closure: once more the full right-hand side."""
+LOADING, PICTURES = 0.3, 3.5
+"""Times of loading a stage with runs, and of drawing the pictures of a comparison [s]."""
+TIMED_STEPS = 60
+"""Steps of each model in the timings of a comparison."""
 
 
 @dataclass(frozen=True)
@@ -71,20 +85,23 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     plan = case.plan
     at = case.plan.points if points is None else points
     number = plan.n_particles
+    n_dim = case.scene.domain.n_dim
     n_snapshots = plan.steps.n_snapshots
     run = STATE_ARRAYS * (number + plan.n_ghosts)
-    trajectory = n_snapshots * (6 * number + 3) + 4 * plan.n_ghosts
-    spin_up = 5 * number if plan.steps.n_spin_up_steps else 0
+    trajectory = n_snapshots * (2 * (n_dim + 1) * number + 3) + 4 * plan.n_ghosts
+    spin_up = (2 * n_dim + 1) * number if plan.steps.n_spin_up_steps else 0
     # Snapshots wait for a checkpoint, which stores them once more, with two states.
-    passing = BYTES * (trajectory + 14 * number)
+    passing = BYTES * (trajectory + (4 + 5 * n_dim) * number)
     waiting = min(MOST_PENDING / BYTES, trajectory)
-    written = BYTES * (2 * number + (trajectory + spin_up) * len(at))
+    written = BYTES * (n_dim * number + (trajectory + spin_up) * len(at))
     files = "packing.h5", "spin-up-*.h5", "fom-*.h5"
     found = {"fom": Need(_ram(run + waiting), written, files, passing)}
     if not case.rom:
         return found
-    found["map"] = Need(BASELINE, BYTES * number * (3 * n_snapshots + 2) * len(at), ("map-*.h5",))
-    modes = sum(plan.basis_size(name) for name in plan.bases) * N_FIELD_VALUES * number
+    found["map"] = Need(
+        BASELINE, BYTES * number * ((1 + n_dim) * n_snapshots + n_dim) * len(at), ("map-*.h5",)
+    )
+    modes = sum(plan.basis_size(name) for name in plan.bases) * (1 + n_dim) * number
     kept = modes * (1 + case.basis.lagrangian)
     n_learnt = len(plan.train_points) * n_snapshots
     least = decomposition_bytes(n_learnt, smallest_block(n_learnt))
@@ -97,7 +114,7 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     written = 0
     for model in case.rom:
         per_run = 0 if model.from_operators else trajectory
-        per_run += number * (4 * n_snapshots + 2) * (model.output == "snapshots")
+        per_run += number * ((2 + n_dim) * n_snapshots + n_dim) * (model.output == "snapshots")
         written += BYTES * per_run * sum(p in at for p in plan.rom_points(model))
     slow = any(not model.from_operators for model in case.rom)
     found["rom"] = Need(_ram(run * slow), written, ("rom-*.h5",), passing * slow)
@@ -113,7 +130,9 @@ def _operators(case: Case) -> float:
     plan = case.plan
     most = max(plan.basis_size(name) for name in plan.reference_bases)
     copies = MODE_COPIES + PRESSURE_COPIES + (1 if plan.lattice_splines else SPLINE_COPIES)
-    sparse = SPARSE_NUMBERS * plan.discretization.n_neighbours * plan.n_particles
+    sparse = SPARSE_NUMBERS * plan.n_neighbours * plan.n_particles
+    if (n_dim := case.scene.domain.n_dim) > 2:  # all points have one stencil
+        sparse = 0.0
     tensors = [n**4 for _, n in plan.memory_models]
     for name in filter(plan.has_error_estimate, plan.reference_bases):
         linear = 1 + plan.basis_size(name)
@@ -121,7 +140,7 @@ def _operators(case: Case) -> float:
         driven += plan.flow(plan.points[0]).body_force is not None
         tensors.append((linear * (linear + 1) + driven * linear) ** 2)
     largest = TENSOR_COPIES * max(tensors, default=0)
-    return copies * N_FIELD_VALUES * most * plan.n_particles + sparse + BLOCK + largest
+    return copies * (1 + n_dim) * most * plan.n_particles + sparse + BLOCK + largest
 
 
 def decomposition_ram_limit() -> int:
@@ -144,8 +163,60 @@ def runs_that_fit(case: Case, stage: str) -> int:
 def full_seconds(case: Case, n_runs: int) -> float:
     """Return the approximate time of full runs on one core [s]."""
     steps = case.plan.steps
-    neighbours = case.plan.n_particles * case.plan.discretization.n_neighbours
+    particles = case.plan.n_particles + GHOST * case.plan.n_ghosts
+    neighbours = particles * case.plan.n_neighbours
     return SECONDS_PER_NEIGHBOUR * neighbours * (steps.n_steps + steps.n_spin_up_steps) * n_runs
+
+
+def reduced_steps(case: Case, model: ReducedModelSection) -> float:
+    """Return the cost of a run of a model on particles, in steps of the full model."""
+    plan = case.plan
+    cost = B_SPLINES[0] + B_SPLINES[1] * model.size
+    if not plan.lattice_splines:
+        at_root = EACH_MODE[0] + EACH_MODE[1] * model.size
+        cost = AT_NO_MODE + at_root / plan.n_neighbours**0.5
+    cost += CLOSURE if model.has_memory else 0.0
+    step = model.time_step if isinstance(model.time_step, float) else plan.steps.time_step
+    return cost * plan.steps.n_steps * plan.steps.time_step / step
+
+
+def stage_times(context: StageContext) -> dict[str, StageTime]:
+    """Return the approximate times of the stages of `run`, if all of their work has to be done.
+
+    Small cases take the time of loading and of many small steps, measured on the demo cases.
+    """
+    case = context.case
+    plan = case.plan
+    steps = plan.steps
+    n_points = len(context.chosen(plan.points))
+    workers = max(1, min(context.workers or 1, n_points))
+
+    def runs(name: str, each: dict[str, float], seconds: float) -> StageTime:
+        at_once = seconds / workers
+        return StageTime(LOADING + at_once, {**each, name: at_once})
+
+    full = full_seconds(case, 1)
+    step = full / (steps.n_steps + steps.n_spin_up_steps)
+    parts = {"spin-up": step * steps.n_spin_up_steps, "full run": step * steps.n_steps}
+    mapped = 1.3e-6 * steps.n_snapshots * plan.n_particles
+    slow = [model for model in context.chosen_models if not model.from_operators]
+    each = {model.name: step * reduced_steps(case, model) for model in slow}
+    reduced = sum(each[m.name] * len(context.chosen(plan.rom_points(m))) for m in slow)
+    learnt = (len(plan.train_points) * steps.n_snapshots) ** 2 * plan.n_particles
+    modes = sum(plan.basis_size(name) for name in plan.reference_bases)
+    sample = 0.2 + 2e-3 * steps.n_snapshots
+    sampled = {f"sample {name}": sample for name in ("the full run", *each)}
+    timed = TIMED_STEPS * (step + sum(each.values()) / steps.n_steps) * bool(case.rom)
+    compared = len(plan.points) * (1 + len(case.rom)) * sample
+    return {
+        "fom": runs("full runs", parts, n_points * full),
+        "map": runs("maps", {"map": mapped}, n_points * mapped),
+        "pod": StageTime(0.1 + 2e-9 * learnt),
+        "fit-psi": StageTime(0.1),
+        "operators": StageTime(0.1 + 6e-5 * plan.n_particles * modes),
+        "rom": runs("reduced runs", each, reduced),
+        "compare": StageTime(PICTURES + timed + compared, {**sampled, "pictures": PICTURES}),
+    }
 
 
 def require_room(
@@ -214,6 +285,8 @@ def run(context: StageContext) -> None:
     for warning in () if case.training.ranges else few_snapshots(case):  # train makes more runs
         report.warn(warning)
     describe_cost(case, report)
+    seconds = sum(time.seconds for time in stage_times(context).values())
+    report.info(f"all stages of `sphrom run`: about {duration(seconds)} on one core")
     _describe_sweep(case, report)
     require_room(case, context.out)
 
@@ -235,14 +308,14 @@ def described_run(case: Case, point: ParameterPoint) -> str:
         thin = f"; no particles resolve layers of L / sqrt(Re) = {layer:.2g} m at walls"
     return (
         f"{point.label}: {plan.n_particles} particles{ghosts}, "
-        f"{plan.discretization.n_neighbours:.0f} neighbours each, c0 = {fluid.sound_speed:g} m/s, "
+        f"{plan.n_neighbours:.0f} neighbours each, c0 = {fluid.sound_speed:g} m/s, "
         f"nu = {fluid.kinematic_viscosity:.4g} m2/s; {counted(plan.steps.n_steps, 'step')} of "
         f"{step:.4g} s{before}, {of_limits}; {counted(plan.steps.n_snapshots, 'snapshot')}{thin}"
     )
 
 
 def _describe_shape(case: Case, report: Reporter) -> None:
-    """Print the area of the fluid, and the width of its narrowest places in support radii."""
+    """Print the fluid's area or volume, and the width of its narrowest places in support radii."""
     domain = case.scene.domain
     plan = case.plan
     support = SUPPORT_RATIO * plan.smoothing_length
@@ -255,11 +328,14 @@ def _describe_shape(case: Case, report: Reporter) -> None:
         for name, width in widths.items()
         if math.isfinite(width)
     ]
-    filled = plan.n_particles * plan.particle_spacing**2
-    area = filled if case.scene.has_surface else domain.area
-    x, y = domain.pitches(plan.particle_spacing)
-    uneven = [f"particles {x:.4g} m apart along x and {y:.4g} m along y fit its sides"] * (x != y)
-    report.info("; ".join((f"the fluid's area is {area:.4g} m2", *uneven, *described)))
+    filled = plan.n_particles * plan.particle_spacing**domain.n_dim
+    size = filled if case.scene.has_surface or domain.n_dim > 2 else domain.area
+    quantity = f"area is {size:.4g} m2" if domain.n_dim == 2 else f"volume is {size:.4g} m3"
+    pitches = domain.pitches(plan.particle_spacing)
+    along = zip("xyz", pitches, strict=False)
+    apart = ", ".join(f"{pitch:.4g} m along {axis}" for axis, pitch in along)
+    uneven = [f"particles {apart} apart fit its sides"] * (len(set(pitches)) > 1)
+    report.info("; ".join((f"the fluid's {quantity}", *uneven, *described)))
 
 
 def describe_cost(case: Case, report: Reporter) -> None:

@@ -10,8 +10,11 @@ import shapely
 
 from sphrom.arrays import Array
 from sphrom.case.models import Case
+from sphrom.case.plan_flows import BEYOND
 from sphrom.errors import CaseError
+from sphrom.metrics.grids import VIEWS, Extent, Slices, midpoints
 from sphrom.plots import panels
+from sphrom.plots.frames import Frame, Solids
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.domain import SIDES, Domain, Walls, lattice_points
@@ -62,36 +65,46 @@ def run(context: StageContext, output: Path | None = None, folder: Path | None =
 def draw(case: Case) -> Figure:
     """Return the picture of a case: particles, ghosts, walls by name, inflow, measurements.
 
-    Particles are shown at their start, before packing. Raises CaseError if there are too many.
+    A box in space is shown by three slices, see `sphrom.metrics.grids.Slices`. Particles are shown
+    at their start, before packing. Raises CaseError if there are too many.
     """
     spacing = case.plan.particle_spacing
     domain = case.scene.domain
-    if (number := domain.n_particles(spacing)) > MOST_PARTICLES:
+    in_plane = domain.n_dim == 2
+    number = domain.n_particles(spacing)
+    if (number if in_plane else len(VIEWS) * number ** (2.0 / 3.0)) > MOST_PARTICLES:
         raise CaseError(
             f"{number} particles are too many to draw, more than {MOST_PARTICLES}: try "
             f"--set discretization.resolution={case.discretization.resolution // 4}"
         )
     walls = particles.walls(case, case.plan.flow(case.plan.points[0]))
-    reach = 0.0 if walls is None else spacing * case.plan.n_wall_layers
+    reach = spacing * case.plan.n_wall_layers if walls is not None and in_plane else 0.0
     beyond = np.where(domain.periodic, 0.0, reach)
-    lower, upper = domain.lower - beyond, domain.upper + beyond
-    size, frame = upper - lower, (lower[0], upper[0], lower[1], upper[1])
+    slices = Slices((domain.lower - beyond).tolist(), (domain.upper + beyond).tolist())
+    left, right, low, high = frame = slices.extent
+    size = np.array((right - left, high - low))
     width, height = size * min((WIDTH, HEIGHT) / size)
     arrow = LONGEST_ARROW * float(np.hypot(*size))
     with panels.styled():
         figure = panels.new_figure(max(5.0, width + 0.9), height + 1.8)
         axes = figure.subplots()
         dot = max(0.4, 36.0 * width * spacing / size[0]) ** 2
-        _draw_points(axes, case.scene.fill(spacing), dot, FLUID, "fluid particles")
-        if walls is not None:
-            ghosts = walls.position
-            inside = np.all((ghosts >= lower) & (ghosts <= upper), axis=1)
-            _draw_points(axes, ghosts[inside], dot, GHOST, "ghosts")
-            _draw_walls(axes, case, walls, solids_within(domain, frame), arrow)
-        _draw_in_fluid(axes, case, 0.6 * arrow)
-        _draw_compared(axes, case)
-        _draw_measured(axes, case, 0.6 * arrow)
-        axes.set(xlim=frame[:2], ylim=frame[2:], xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        if in_plane:
+            _draw_points(axes, case.scene.fill(spacing), dot, FLUID, "fluid particles")
+            if walls is not None:
+                ghosts = walls.position
+                inside = np.all((ghosts >= slices.lower) & (ghosts <= slices.upper), axis=1)
+                _draw_points(axes, ghosts[inside], dot, GHOST, "ghosts")
+                _draw_walls(axes, case, walls, solids_within(domain, frame), arrow)
+            _draw_in_fluid(axes, case, 0.6 * arrow)
+            _draw_compared(axes, case)
+            _draw_measured(axes, case, 0.6 * arrow)
+        else:
+            _draw_slices(axes, case, slices, dot, arrow)
+            axes.set_xticks(*slices.ticks(0))
+            axes.set_yticks(*slices.ticks(1))
+        x_label, y_label = Frame(frame, slices=None if in_plane else slices).labels
+        axes.set(xlim=frame[:2], ylim=frame[2:], xlabel=x_label, ylabel=y_label, aspect="equal")
         packed = ", before packing" if case.plan.packed else ""
         axes.set_title(f"{case.name}: spacing {spacing:.4g} m{packed}")
         handles, labels = axes.get_legend_handles_labels()
@@ -100,7 +113,7 @@ def draw(case: Case) -> Figure:
     return figure
 
 
-def solids_within(domain: Domain, frame: panels.Extent) -> panels.Solids:
+def solids_within(domain: Domain, frame: Extent) -> Solids:
     """Return signed distances from walls on a grid over a frame (left, right, lower, upper) [m]."""
     left, right, lower, upper = frame
     width = max(right - left, upper - lower) / PIXELS
@@ -118,7 +131,7 @@ def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: s
     axes.scatter(x, y, s=size, color=colour, linewidths=0.0, label=label, rasterized=many)
 
 
-def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: panels.Solids, arrow: float) -> None:
+def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:
     """Draw walls with their names; the fastest velocity is as long as an arrow [m]."""
     domain = case.scene.domain
     spacing = case.plan.particle_spacing
@@ -221,3 +234,81 @@ def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
         axes.plot(*ends.T, **look, label=measure.title, color=MEASURED, zorder=5)
         offset: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
         axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **offset)
+
+
+def _draw_slices(axes: Axes, case: Case, slices: Slices, size: float, arrow: float) -> None:
+    """Draw the slices of a box in space: particles, sides, and places of measurements.
+
+    Particles are dots of a size [points squared]; the fastest wall has an arrow of a length [m].
+    """
+    spacing = case.plan.particle_spacing
+    ends = np.array((case.scene.domain.lower, case.scene.domain.upper))
+    middle = ends.mean(axis=0)
+    fluid = case.scene.fill(spacing)
+    in_slices = []
+    for view, along in enumerate(VIEWS):
+        # The middle may be between two layers of particles, of which one is shown.
+        layer = np.round((fluid - middle)[:, 3 - sum(along)] / spacing - 0.25)
+        in_slices.append(slices.shown(view, fluid[layer == 0.0]))
+    _draw_points(axes, np.concatenate(in_slices), size, FLUID, "fluid particles in the slices")
+    _draw_sides(axes, case, slices, arrow)
+    line = np.tile(middle, (2, 1))
+    line[:, 0] = case.plan.probe_line
+    line[:, 1] = ends[:, 1]
+    axes.plot(
+        *slices.shown(0, line).T, color=panels.COLOURS[0], ls="--", label="compared line", zorder=4
+    )
+    for name, measure in case.scene.measured_fields.items():
+        outline = corners = np.array(measure.ends)
+        if measure.is_flow:  # opposite corners of a rectangle
+            second = np.flatnonzero(corners[0] != corners[1])[1]
+            outline = corners[[0, 1, 1, 0, 0]]
+            outline[:, second] = corners[[0, 0, 1, 1, 0], second]
+        look: dict[str, Any] = {"ls": "-" if measure.is_flow else "-.", "lw": 1.8}
+        if not np.ptp(outline, axis=0).any():
+            look = {"marker": "o", "ls": "none", "ms": 6.0}
+        for view in range(len(VIEWS)):
+            place = slices.shown(view, outline)
+            axes.plot(*place.T, **look, label=measure.title, color=MEASURED, zorder=5)
+            offset: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
+            axes.annotate(name, 0.75 * place[0] + 0.25 * place[1], color=MEASURED, **offset)
+
+
+def _draw_sides(axes: Axes, case: Case, slices: Slices, arrow: float) -> None:
+    """Draw the sides of a box in space around its slices: walls by name, and periodic ones."""
+    domain = case.scene.domain
+    flow = case.plan.flow(case.plan.points[0])
+    ends = np.array((domain.lower, domain.upper))
+    repeats = [axis for axis in range(3) if domain.periodic[axis]]
+    label = f"repeats along {' and '.join('xyz'[axis] for axis in repeats)}"
+    moving: list[tuple[int, Array, Array]] = []
+    for view, along in enumerate(VIEWS):
+        for axis, other, end in ((*pair, end) for pair in (along, along[::-1]) for end in (0, 1)):
+            # An odd number of places, one of them in the middle, where lids are fastest.
+            side = np.tile(ends.mean(axis=0), (MOST_ARROWS + 1, 1))
+            side[:, other] = midpoints(ends[0, other], ends[1, other], len(side))
+            side[:, axis] = ends[end, axis]
+            edge = side[[0, -1]]
+            edge[:, other] = ends[:, other]
+            place = slices.shown(view, edge)
+            if domain.periodic[axis]:
+                axes.plot(*place.T, color=panels.COLOURS[2], ls=":", lw=2.5, label=label, zorder=4)
+                continue
+            beyond = side.copy()
+            beyond[:, axis] += (2 * end - 1) * BEYOND * case.plan.particle_spacing
+            velocity = flow.wall_velocity(beyond)
+            moving.append((view, side, velocity))
+            largest = float(np.linalg.norm(velocity, axis=1).max())
+            name = SIDES[axis][end]
+            text, colour = (f"{name}, {largest:.3g} m/s", MOVING) if largest else (name, panels.INK)
+            axes.plot(*place.T, color=panels.INK, lw=1.6)
+            turned = 90.0 if axis == along[0] else 0.0
+            x, y = place.mean(axis=0).tolist()
+            axes.text(x, y, text, color=colour, rotation=turned, **CENTRED)
+    speeds = [float(np.linalg.norm(velocity, axis=1).max()) for _, _, velocity in moving]
+    fastest = max(speeds, default=0.0)
+    for (view, side, velocity), speed in zip(moving, speeds, strict=True):
+        if speed:
+            way = arrow / fastest * velocity[:, VIEWS[view]]
+            label = f"velocity of walls, at most {fastest:.3g} m/s"
+            _draw_arrows(axes, slices.shown(view, side), way, MOVING, label)

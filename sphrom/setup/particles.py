@@ -16,10 +16,10 @@ from sphrom.case.measure_sections import ElevationMeasure
 from sphrom.case.models import Case
 from sphrom.case.plan_flows import BEYOND
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import UnstableError
+from sphrom.errors import CaseError, UnstableError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.elevation import Filled, Filling, columns_of, lowest_surface
-from sphrom.metrics.measures import FieldMeasure, FlowRate, Quantities
+from sphrom.metrics.measures import FLOW_RATES, FieldMeasure, Quantities
 from sphrom.metrics.quantities import is_vector
 from sphrom.metrics.series import kinetic_energy
 from sphrom.reduction.reference_space import ReferenceMap, TooFewParticlesError
@@ -29,12 +29,19 @@ from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import UnitForcing, pressure_of, volume_of
 from sphrom.sph.functional import Functional, MeasuredWall, WallForces, measured_wall
+from sphrom.sph.lattice import NotOnLatticeError
+from sphrom.sph.lattice_points import LatticePoints
+from sphrom.sph.space_functional import SpaceFunctional, SpaceWallForces
 from sphrom.sph.watch import Watch
+
+AnyForces = WallForces | SpaceWallForces
 
 SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
 LOOK_EVERY = 8
 """Least number of steps between looks at a full run, which then take 0.3 % of its time."""
+IN_SPACE = 3
+"""Number of axes of a box in space."""
 HEIGHTS = 2
 """Number of heights per particle spacing at which the elevation is searched."""
 
@@ -42,6 +49,15 @@ HEIGHTS = 2
 def functional(case: Case, point: ParameterPoint) -> Functional:
     """Return the full-order functional at a parameter point."""
     flow = case.plan.flow(point)
+    if flow.domain.n_dim == IN_SPACE:
+        return SpaceFunctional(
+            case.plan.fluid(point),
+            case.plan.discretization,
+            flow.domain,
+            body_force=flow.body_force,
+            wall_velocity=flow.wall_velocity,
+            speed_at=flow.wall_speed,
+        )
     ghosts = walls(case, flow)
     return Functional(
         case.plan.fluid(point),
@@ -74,8 +90,11 @@ def measured_walls(case: Case, flow: Scene) -> dict[str, MeasuredWall]:
     }
 
 
-def wall_forces(case: Case, point: ParameterPoint, of: Functional) -> WallForces | None:
+def wall_forces(case: Case, point: ParameterPoint, of: Functional) -> AnyForces | None:
     """Return the forces that a case measures, for states of a functional, if there are any."""
+    if isinstance(of, SpaceFunctional):
+        names = case.scene.measured_walls
+        return SpaceWallForces(of, names) if names else None
     measured = measured_walls(case, case.plan.flow(point))
     return WallForces(of, measured) if measured else None
 
@@ -110,7 +129,7 @@ def watch(case: Case, point: ParameterPoint) -> Watch:
 
 
 def map_onto(case: Case, points: Array) -> ReferenceMap:
-    """Return the case's map of particle fields onto points (n_points, 2)."""
+    """Return the case's map of particle fields onto points (n_points, n_dim)."""
     return ReferenceMap(
         points,
         case.scene.domain,
@@ -134,7 +153,7 @@ def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str,
 
 
 def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
-    """Return the forcing of walls' ghosts and points (n_points, 2) per unit of each parameter."""
+    """Return the forcing of ghosts and points (n_points, n_dim) per unit of each parameter."""
     at_rest, per_unit = case.plan.rest_and_units
     ghosts = walls(case, at_rest)
     forcings = {}
@@ -152,25 +171,38 @@ def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
 
 
 def fixed_points(case: Case, position: Array) -> FixedPoints:
-    """Return the sums over neighbours at the reference points (n_points, 2) [m].
+    """Return the sums over neighbours at the reference points (n_points, n_dim) [m].
 
-    Each driving parameter has a separate part in them.
+    Each driving parameter has a separate part in them. Raises CaseError for points that are not a
+    lattice, or measured forces, in three dimensions.
     """
     point = case.plan.train_points[0]
     flow, _ = case.plan.rest_and_units
     force = None if flow.body_force is None else flow.body_force.field(position.T)
-    return FixedPoints(
-        position,
-        case.plan.fluid(point),
-        case.plan.discretization,
-        flow.domain,
-        walls(case, flow),
-        force,
-        walls_driven=flow.wall_amplitude is not None,
-        drives=drives(case, position),
-        resistance=flow.resistance,
-        terms=flow.terms,
-    )
+    in_space = position.shape[1] == IN_SPACE
+    if in_space and case.scene.measured_walls:
+        raise CaseError(
+            "scene.measure: models from operators have no forces on walls in three dimensions; "
+            "leave them out, or compute them by full runs alone"
+        )
+    points_of = LatticePoints if in_space else FixedPoints
+    try:
+        return points_of(
+            position,
+            case.plan.fluid(point),
+            case.plan.discretization,
+            flow.domain,
+            walls(case, flow),
+            force,
+            walls_driven=flow.wall_amplitude is not None,
+            drives=drives(case, position),
+            resistance=flow.resistance,
+            terms=flow.terms,
+        )
+    except NotOnLatticeError as error:
+        raise CaseError(
+            f"reference.points: {error}; set it to lattice in three dimensions"
+        ) from error
 
 
 def filled(case: Case, points: Array) -> Filled:
@@ -191,7 +223,7 @@ def filled(case: Case, points: Array) -> Filled:
 
 
 def sampler(case: Case, points: Array) -> ReferenceMap:
-    """Return the interpolation that samples particles at points (n_points, 2) [m].
+    """Return the interpolation that samples particles at points (n_points, n_dim) [m].
 
     It is the accurate one, whichever map the case uses. Above a free surface fields are zero.
     """
@@ -220,7 +252,7 @@ class MeasuredFields:
         distance, normal = case.scene.domain.distance_and_normal(places)
         spacing = case.plan.particle_spacing
         at_rest, per_unit = case.plan.rest_and_units
-        flows = [np.full(len(m.position), isinstance(m, FlowRate)) for m in measures.values()]
+        flows = [np.full(len(m.position), isinstance(m, FLOW_RATES)) for m in measures.values()]
         near = self._near = np.flatnonzero((distance < spacing) & ~np.concatenate(flows))
         on_walls = places[near] - distance[near, None] * normal[near]
         beyond = on_walls - BEYOND * spacing * normal[near]
@@ -231,7 +263,7 @@ class MeasuredFields:
         varies |= case.scene.free_slip or case.scene.has_surface
         self._share = np.where(varies, 0.0, 1.0 - distance[near] / spacing)[:, None]
         self.position = np.concatenate((places, on_walls))
-        """(n_positions, 2) [m], the positions at which fields are needed."""
+        """(n_positions, n_dim) [m], the positions at which fields are needed."""
         self._sample = sampler(case, self.position)
 
     @classmethod
@@ -243,7 +275,7 @@ class MeasuredFields:
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> dict[str, Quantities]:
-        """Return the measurements of particles (n_particles[, 2]), by name.
+        """Return the measurements of particles (n_particles[, n_dim]), by name.
 
         Above a free surface, pressure and velocity are zero.
 
@@ -258,7 +290,7 @@ class MeasuredFields:
             raise UnstableError(f"{place}: {error}") from error
 
     def of_fields(self, density_fluctuation: Array, velocity: Array) -> dict[str, Quantities]:
-        """Return the measurements of fields (n_positions[, 2]) at `position`, by name."""
+        """Return the measurements of fields (n_positions[, n_dim]) at `position`, by name."""
         corrected = velocity.copy()
         pressure = pressure_of(density_fluctuation, self._sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
@@ -292,9 +324,11 @@ class MeasuredParticles:
             self._rest = float(scene.fill(spacing, values)[:, 1].mean())
         surface = self._surface.values()
         self._x = [m.elevation for m in surface if isinstance(m, ElevationMeasure)]
-        columns = columns_of(np.array(self._x), self._heights)
-        self._filled = filled(case, columns) if self._x else None
-        self._solid = ~scene.domain.contains(columns)
+        self._filled = None
+        if self._x:
+            columns = columns_of(np.array(self._x), self._heights)
+            self._filled = filled(case, columns)
+            self._solid = ~scene.domain.contains(columns)
 
     @classmethod
     def of(cls, case: Case, point: ParameterPoint) -> MeasuredParticles | None:
@@ -316,7 +350,7 @@ class MeasuredParticles:
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> dict[str, Quantities]:
-        """Return the measurements of particles (n_particles[, 2]), by name.
+        """Return the measurements of particles (n_particles[, n_dim]), by name.
 
         Raises UnstableError as `MeasuredFields` does.
         """

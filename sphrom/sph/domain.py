@@ -24,7 +24,7 @@ FINEST = 5e-5
 """Size of the finest features that count in the measurement of widths, over that of the box."""
 WHOLE_TOLERANCE = 1e-6
 """Largest distance of a wall from the lattice, over the particle spacing."""
-SIDES = (("left", "right"), ("bottom", "top"))
+SIDES = (("left", "right"), ("bottom", "top"), ("back", "front"))
 """Names of the walls at the lower and upper ends of each axis."""
 
 
@@ -69,26 +69,31 @@ def lattice_points(x: Array, y: Array) -> Array:
 
 
 def first_of(particles: Indices, position: Array) -> str:
-    """Describe the first of some particles at positions (2, n_particles) [m], in words."""
-    x, y = position[:, particles[0]]
+    """Describe the first of some particles at positions (n_dim, n_particles) [m], in words."""
+    place = ", ".join(f"{coordinate:.6g}" for coordinate in position[:, particles[0]])
     more = f" (one of {particles.size})" if particles.size > 1 else ""
-    return f"particle {particles[0]} at ({x:.6g}, {y:.6g}) m{more}"
+    return f"particle {particles[0]} at ({place}) m{more}"
 
 
 class Domain(ABC):
     """The part of a box that is filled with fluid."""
 
-    lower: tuple[float, float]
+    lower: tuple[float, ...]
     """The box's lower corner [m]."""
-    upper: tuple[float, float]
+    upper: tuple[float, ...]
     """The box's upper corner [m]."""
-    periodic: tuple[bool, bool]
+    periodic: tuple[bool, ...]
     """Whether the box is periodic, by axis."""
 
     @property
-    def lengths(self) -> tuple[float, float]:
+    def n_dim(self) -> int:
+        """The number of axes."""
+        return len(self.lower)
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
         """The box's edges [m]."""
-        return (self.upper[0] - self.lower[0], self.upper[1] - self.lower[1])
+        return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
 
     @property
     @abstractmethod
@@ -123,7 +128,7 @@ class Domain(ABC):
     @property
     def wall_names(self) -> tuple[str, ...]:
         """The name of each wall: sides of the box that are not periodic, then solids."""
-        sides = (names for names, p in zip(SIDES, self.periodic, strict=True) if not p)
+        sides = (names for names, p in zip(SIDES, self.periodic, strict=False) if not p)
         return (*(name for names in sides for name in names), *self.solid_names)
 
     @property

@@ -155,7 +155,17 @@ class FixedPoints:
         length = discretization.smoothing_length
         self._diffusivity = delta * length * fluid.sound_speed
         self._damping_length = discretization.acoustic_damping * length
-        self.particle_mass = fluid.reference_density * discretization.particle_spacing**2
+        volume = discretization.particle_spacing ** position.shape[1]
+        self.particle_mass = fluid.reference_density * volume
+        self._prepare(domain, discretization, walls)
+        self._slow_down(resistance)
+        linear = [term.matrices(self.position) for term in terms if term.linear]
+        quadratic = [term.products(self.position) for term in terms if term.quadratic]
+        self.linear_term = sum(linear) if linear else None
+        self.quadratic_term = sum(quadratic) if quadratic else None
+
+    def _prepare(self, domain: Domain, discretization: Discretization, walls: Walls | None) -> None:
+        """Store the sums over neighbours."""
         self._fluid = fluid_sums(self.position, domain, discretization)
         rule = discretization.walls.rule
         self._ghosts = (
@@ -164,11 +174,6 @@ class FixedPoints:
         moment = self._fluid.moment + (0.0 if self._ghosts is None else self._ghosts.moment)
         self._viscous = -2.0 / moment
         self._laplacian = self._viscous_matrix()
-        self._slow_down(resistance)
-        linear = [term.matrices(self.position) for term in terms if term.linear]
-        quadratic = [term.products(self.position) for term in terms if term.quadratic]
-        self.linear_term = sum(linear) if linear else None
-        self.quadratic_term = sum(quadratic) if quadratic else None
 
     def _viscous_matrix(self) -> Matrix:
         """Return V (n_points, n_points), alike for both components, without the strip's mean."""

@@ -127,11 +127,6 @@ class Discretization:
         """Number of ghost layers that the kernel's support needs."""
         return math.ceil(self.support_radius / self.particle_spacing * (1.0 - ROUNDING))
 
-    @property
-    def n_neighbours(self) -> float:
-        """Average number of particles in a kernel's support."""
-        return math.pi * (self.support_radius / self.particle_spacing) ** 2
-
 
 @dataclass(frozen=True)
 class StepLimits:

@@ -123,12 +123,13 @@ class Functional:
         self._source = np.empty((self._n_fields, 0))
 
     def __call__(self, state: Array, time: float = 0.0) -> Array:
-        """Return the rates (5, n_particles) of a full state at a time [s]."""
-        rates = self.evaluate(state[:2], state[2], state[3:], time)
+        """Return the rates (2 n_dim + 1, n_particles) of a full state at a time [s]."""
+        n = self.domain.n_dim
+        rates = self.evaluate(state[:n], state[n], state[n + 1 :], time)
         out = np.empty_like(state)
-        np.add(state[3:], rates.shifting_velocity, out=out[:2])
-        out[2] = rates.density
-        out[3:] = rates.velocity
+        np.add(state[n + 1 :], rates.shifting_velocity, out=out[:n])
+        out[n] = rates.density
+        out[n + 1 :] = rates.velocity
         return out
 
     def evaluate(
@@ -159,12 +160,18 @@ class Functional:
         if sums.force is not None:
             out[1:] += sums.force
         if self.discretization.fixed_volume:
-            # The volume of a domain filled with fluid is constant, which the sums of the continuity
-            # equation do not ensure: the mean pressure would drift with the particles' arrangement.
-            density = self.fluid.reference_density + density_fluctuation
-            compressibility = self.mass / density**2
-            out[0] -= np.sum(compressibility * out[0]) / np.sum(compressibility)
+            self._fix_volume(density_fluctuation, out[0])
         return Rates(out[0], out[1:], sums.shifting, sums.slopes)
+
+    def _fix_volume(self, density_fluctuation: Array, rates: Array) -> None:
+        """Subtract the mean from the rates of density (n_particles,) [kg/m3/s], in place.
+
+        The volume of a domain filled with fluid is constant, which the sums of the continuity
+        equation do not ensure: the mean pressure would drift with the particles' arrangement.
+        """
+        density = self.fluid.reference_density + density_fluctuation
+        compressibility = self.mass / density**2
+        rates -= np.sum(compressibility * rates) / np.sum(compressibility)
 
     def _first_sums(
         self,
@@ -295,27 +302,33 @@ class Functional:
     rates = __call__
 
     def position(self, state: Array) -> Array:
-        """Return the positions (2, n_particles) [m]."""
-        return state[:2]
+        """Return the positions (n_dim, n_particles) [m]."""
+        return state[: self.domain.n_dim]
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles wrapped into the box; reset the neighbour list."""
         self.neighbourhood.rebuild_at(None)
-        return np.vstack((self.domain.wrap(state[:2].T).T, state[2:]))
+        n = self.domain.n_dim
+        return np.vstack((self.domain.wrap(state[:n].T).T, state[n:]))
 
     def snapshot(self, state: Array) -> Snapshot:
         """Return the fields of a state."""
-        return Snapshot(state[:2], state[2], state[3:])
+        n = self.domain.n_dim
+        return Snapshot(state[:n], state[n], state[n + 1 :])
 
     def remedy(self, state: Array, time_step: float) -> str:
         """Return a suggestion for a run that became unstable near a state."""
         sound = self.fluid.sound_speed
         limit = step_limits(self.fluid, self.discretization, self.ghosts is not None).least
+        now = self.snapshot(state)
         if time_step > limit * (1.0 + ROUNDING):
             return f"the time step is beyond its limit of {limit:.4g} s"
-        if (speed := float(np.hypot(*state[3:]).max())) > LARGEST_MACH_NUMBER * sound:
+        if (speed := float(np.hypot.reduce(now.velocity).max())) > LARGEST_MACH_NUMBER * sound:
             return f"c0 = {sound:.4g} m/s is too low for {speed:.3g} m/s: raise the reference speed"
-        if np.abs(state[2]).max() > 0.5 * DENSITY_LIMIT * self.fluid.reference_density:
+        if (
+            np.abs(now.density_fluctuation).max()
+            > 0.5 * DENSITY_LIMIT * self.fluid.reference_density
+        ):
             return f"c0 = {sound:.4g} m/s is too low for the pressure: lower the Mach number"
         return "a smaller time step or a finer resolution may help"
 

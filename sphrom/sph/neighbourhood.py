@@ -122,22 +122,29 @@ class Neighbourhood:
         """
         if self.built_at is not None and self.built_at.shape == position.shape:
             offset = position - self.built_at
-            moved = math.sqrt(float(np.max(offset[0] ** 2 + offset[1] ** 2)))
+            moved = math.sqrt(float(np.max(sum(part**2 for part in offset))))
             if moved <= self._move_limit:
                 self.reach = self._support_radius + moved
                 return
         # A particle and its neighbour may each move by the limit before the next build.
         margin = self._support_radius + 2.0 * self._move_limit
         _require_near(position, self._domain, margin)
-        self.sources = sort_sources(position, self._domain, margin, self._spacing)
+        self._build(position, margin)
         self.reach = self._support_radius
         self.built_at = position.copy()
+
+    def _build(self, position: Array, margin: float) -> None:
+        """Build the list, with images within a margin [m] of the box."""
+        self.sources = sort_sources(position, self._domain, margin, self._spacing)
         # Targets are divided into blocks, whose candidate lists need memory.
         near = self.sources
         limit = SLACK * self._move_limit
         self.block_start = split_targets(near.targets, near.grid, near.cell_start)
         farthest = near.search(self._support_radius + limit, self._smoothing_length)
-        length = longest_list(near.place, near.targets, self.block_start, farthest, limit)
+        self._lengthen(longest_list(near.place, near.targets, self.block_start, farthest, limit))
+
+    def _lengthen(self, length: int) -> None:
+        """Keep memory for lists of a length."""
         if length > self.scratch.shape[2]:
             self.scratch = np.empty((*self.scratch.shape[:2], length))
 
@@ -148,7 +155,7 @@ def _require_near(position: Array, domain: Domain, margin: float) -> None:
     The cells would not cover them.
     """
     bad = ~np.isfinite(position).all(0)
-    for axis in (axis for axis in range(2) if not domain.periodic[axis]):
+    for axis in (axis for axis in range(domain.n_dim) if not domain.periodic[axis]):
         low, high = domain.lower[axis] - margin, domain.upper[axis] + margin
         bad |= (position[axis] < low) | (position[axis] > high)
     if bad.any():
@@ -157,14 +164,14 @@ def _require_near(position: Array, domain: Domain, margin: float) -> None:
 
 
 def periodic_images(position: Array, domain: Domain, margin: float) -> tuple[Indices, Array]:
-    """Return the particle (n_sources,) and the translation (2, n_sources) [m] of each source.
+    """Return the particle (n_sources,) and the translation (n_dim, n_sources) [m] of each source.
 
     The first sources are the particles themselves, moved into the box; then follow their images
     within the margin [m] around it.
     """
     particle = np.arange(position.shape[1])
     image = domain.wrap(position.T).T - position
-    for axis in range(2):
+    for axis in range(len(position)):
         if not domain.periodic[axis]:
             continue
         length = domain.lengths[axis]
@@ -176,7 +183,7 @@ def periodic_images(position: Array, domain: Domain, margin: float) -> tuple[Ind
             near = np.flatnonzero(
                 (moved >= domain.lower[axis] - margin) & (moved < domain.upper[axis] + margin)
             )
-            step = np.zeros((2, near.size))
+            step = np.zeros((len(position), near.size))
             step[axis] = copy * length
             particles.append(particle[near])
             images.append(image[:, near] + step)

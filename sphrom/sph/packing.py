@@ -19,11 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sphrom.arrays import Array
-from sphrom.kernels import fields, sweeps
+from sphrom.kernels import fields, space_sweeps, sweeps
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.space_neighbourhood import SpaceNeighbourhood
 
 MAX_ITERATIONS = 2000
 """Number of iterations after which packing stops."""
@@ -37,12 +38,15 @@ N_PASSES = 3
 """Number of moves away from the nearest wall; in a corner the nearest wall changes between them."""
 
 
+NO_SHIFTING = fields.RegularityConstants(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class Packing:
     """Packed positions, and a measure of their regularity."""
 
     position: Array
-    """(n_particles, 2) [m]."""
+    """(n_particles, n_dim) [m]."""
     residual: Array
     """(n_iterations + 1,) mean length of the kernel gradient's sum, times the spacing."""
 
@@ -70,9 +74,15 @@ def pack(
     random = np.random.default_rng(seed)
     start = domain.fill(spacing)
     start += perturbation * spacing * random.uniform(-1.0, 1.0, start.shape)
-    others = np.empty((2, 0)) if ghosts is None else np.ascontiguousarray(ghosts.T)
+    others = np.empty((domain.n_dim, 0))
+    if ghosts is not None:
+        others = np.ascontiguousarray(ghosts.T)
     position = _off_walls(np.ascontiguousarray(domain.wrap(start).T), domain, spacing)
-    push = KernelGradientSum(_box_around(others, domain), discretization, others)
+    push: Callable[[Array], Array]
+    if domain.n_dim > 2:
+        push = SpaceGradientSum(domain, discretization)
+    else:
+        push = KernelGradientSum(_box_around(others, domain), discretization, others)
     time_step = STEP_RATIO * discretization.smoothing_length / math.sqrt(2.0)
     velocity = np.zeros_like(position)
     gradient = push(position)
@@ -118,11 +128,12 @@ def _box_around(position: Array, domain: Domain) -> BoxDomain:
     upper = np.where(domain.periodic, domain.upper, every.max(axis=1))
     left, low = lower.tolist()
     right, high = upper.tolist()
-    return BoxDomain((left, low), (right, high), domain.periodic)
+    across, along = domain.periodic
+    return BoxDomain((left, low), (right, high), (across, along))
 
 
 def _residual(gradient: Array, spacing: float) -> float:
-    return spacing * float(np.mean(np.hypot(gradient[0], gradient[1])))
+    return spacing * float(np.mean(np.hypot.reduce(gradient)))
 
 
 class KernelGradientSum:
@@ -139,7 +150,7 @@ class KernelGradientSum:
         self._others = np.empty((2, 0)) if others is None else others
         self._volume = discretization.particle_spacing**2
         self._neighbourhood = Neighbourhood(domain, discretization, n_fields=fields.N_FIELDS)
-        self._constants = fields.RegularityConstants(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._constants = NO_SHIFTING
 
     def __call__(self, position: Array) -> Array:
         """Return the sum (2, n_particles) [1/m] at positions (2, n_particles) [m]."""
@@ -157,3 +168,26 @@ class KernelGradientSum:
             neighbourhood.blocks, neighbourhood.search, source, self._constants, no_walls, out, ()
         )
         return out[fields.SUPPORT_X :, :n_particles]
+
+
+class SpaceGradientSum:
+    """The same sum in a box of three axes, where walls reflect particles."""
+
+    def __init__(self, domain: Domain, discretization: Discretization) -> None:
+        self._volume = discretization.particle_spacing**3
+        n_fields = space_sweeps.N_FIELDS
+        self._neighbourhood = SpaceNeighbourhood(domain, discretization, n_fields)
+
+    def __call__(self, position: Array) -> Array:
+        """Return the sum (3, n_particles) [1/m] at positions (3, n_particles) [m]."""
+        neighbourhood = self._neighbourhood
+        neighbourhood.update(position)
+        near = neighbourhood.near
+        source = np.zeros((space_sweeps.N_FIELDS, near.particle.size))
+        space_sweeps.gather_space(near.particle, near.image, near.flip, position, 0, source)
+        source[space_sweeps.VOLUME] = self._volume
+        out = np.empty((space_sweeps.N_REGULAR_ROWS, position.shape[1]))
+        space_sweeps.space_regularity(
+            neighbourhood.blocks, neighbourhood.search, source, NO_SHIFTING, out
+        )
+        return out[space_sweeps.SUPPORT :]

@@ -14,7 +14,9 @@ from sphrom.metrics.series import sharpened
 from sphrom.sph.domain import SIDES, Domain
 
 N_SAMPLES = 200
-"""Intervals along each edge of the box, or along a wall, between places of checks."""
+"""Intervals along a wall between places of checks."""
+SAMPLES = {2: N_SAMPLES, 3: 40}
+"""Intervals along each edge of a box between places of checks, by the number of its axes."""
 BESIDE, N_NEAREST = 1e-6, 4 * N_SAMPLES
 """Distance of places beside a jump from it, over that of samples, and samples that lead to it."""
 N_PEAKS = 16
@@ -58,6 +60,10 @@ class Places:
             return position
         return np.where(left, self._domain.wrap(position.T).T, position)
 
+    @property
+    def _n_samples(self) -> int:
+        return SAMPLES[self._domain.n_dim]
+
     def lines(self, axis: int, coordinates: Array) -> Array:
         """Return lines (n_lines,) through the box at coordinates (n_lines,) [m] of an axis."""
         ends = np.tile(self._ends, (len(coordinates), 1, 1))
@@ -69,6 +75,14 @@ class Places:
 
         Raises ValueError if there are none.
         """
+        if self._domain.n_dim > 2:
+            axis = next(n for n, names in enumerate(SIDES) if name in names)
+            points = grid(*self._ends)
+            end = self._ends[SIDES[axis].index(name), axis]
+            inside = np.delete(points, axis, axis=1)
+            within = (inside > np.delete(self._ends[0], axis)).all(axis=1)
+            within &= (inside < np.delete(self._ends[1], axis)).all(axis=1)
+            return points[within & (points[:, axis] == end)]
         if name in self._solids:
             edge = self._solids[name].boundary
         else:
@@ -89,10 +103,11 @@ class Places:
     def scattered(self) -> Array:
         """Places (n_places, 2) [m] of the fluid, one at random in each cell of a grid."""
         # Equal distances could fit the waves of a field.
-        shares = np.random.default_rng(0).random((N_SAMPLES, N_SAMPLES, 2))
-        cells = np.stack(np.meshgrid(*(np.arange(N_SAMPLES),) * 2), axis=-1)
-        points = self._ends[0] + np.array(self._domain.lengths) * (cells + shares) / N_SAMPLES
-        points = points.reshape(-1, 2)
+        n_dim = self._domain.n_dim
+        shares = np.random.default_rng(0).random((*(self._n_samples,) * n_dim, n_dim))
+        cells = np.stack(np.meshgrid(*(np.arange(self._n_samples),) * n_dim), axis=-1)
+        points = self._ends[0] + np.array(self._domain.lengths) * (cells + shares) / self._n_samples
+        points = points.reshape(-1, n_dim)
         return points[self._domain.contains(points)]
 
     def beside(self, difference: Callable[[Array], Array]) -> Array:
@@ -101,7 +116,7 @@ class Places:
         def nearness(place: Array) -> Array:
             return -np.abs(difference(place))
 
-        width = np.array(self._domain.lengths) / N_SAMPLES
+        width = np.array(self._domain.lengths) / self._n_samples
         order = np.argsort(-nearness(self.samples.T), kind="stable")
         _, edge = sharpened(nearness, self.samples[order[:N_NEAREST]].T, width, self._ends)
         offsets = BESIDE * np.concatenate([np.diag(width), -np.diag(width)])
@@ -121,12 +136,14 @@ class Places:
             return np.where(fluid, size(place), -np.inf)
 
         highest = self.all[np.argsort(-size(self.all.T), kind="stable")[:N_PEAKS]]
-        found, places = sharpened(inside, highest.T, lengths / N_SAMPLES, self._ends)
+        found, places = sharpened(inside, highest.T, lengths / self._n_samples, self._ends)
         best = int(np.argmax(found))
         return float(found[best]), places[:, best]
 
 
 def grid(lower: Array, upper: Array) -> Array:
-    """Return evenly spaced points (n_points, 2) [m] of a box, with its edges."""
-    axes = [np.linspace(low, high, N_SAMPLES + 1) for low, high in zip(lower, upper, strict=True)]
-    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    """Return evenly spaced points (n_points, n_dim) [m] of a box, with its edges, x fastest."""
+    number = SAMPLES[len(lower)] + 1
+    axes = [np.linspace(low, high, number) for low, high in zip(lower, upper, strict=True)]
+    rows = np.meshgrid(*axes[::-1], indexing="ij")[::-1]
+    return np.stack(rows, axis=-1).reshape(-1, len(axes))

@@ -22,9 +22,9 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
 
-Lengths = tuple[float, float]
+Lengths = tuple[float, ...]
 """Of the box, along x and y [m]."""
-Periodic = tuple[bool, bool]
+Periodic = tuple[bool, ...]
 
 ROUNDING = 1e-9
 """Tolerance for equal lengths up to rounding, over the size of the box."""

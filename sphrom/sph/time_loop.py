@@ -27,7 +27,7 @@ DENSITY_LIMIT = 0.1
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The fields of one instant; positions and velocities are (2, n_particles)."""
+    """The fields of one instant; positions and velocities are (n_dim, n_particles)."""
 
     position: Array
     density_fluctuation: Array
@@ -53,7 +53,7 @@ class Model(Protocol):
         """The neighbour list of the sums in the rates."""
 
     def position(self, state: Array) -> Array:
-        """Return the positions (2, n_particles) of a state [m]."""
+        """Return the positions (n_dim, n_particles) of a state [m]."""
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles wrapped into the box; reset the neighbour list.
@@ -115,7 +115,7 @@ class RunState:
     step: int
     state: Array
     neighbours_at: Array | None
-    """(2, n_particles) positions [m] at which the neighbour list was built; None before that."""
+    """Positions (n_dim, n_particles) [m] at which the neighbour list was built; None before."""
     seconds: float
     """Time spent on the steps so far [s]."""
 
@@ -214,13 +214,13 @@ def check_snapshot(
     good = (np.abs(fluctuation) <= DENSITY_LIMIT) & np.isfinite(snapshot.velocity).all(0)
     if not good.all():
         bad = np.flatnonzero(~good)
-        u, v = snapshot.velocity[:, bad[0]]
-        text = f"(rho - rho0)/rho0 = {fluctuation[bad[0]]:.3g} and velocity ({u:.3g}, {v:.3g}) m/s"
+        velocity = ", ".join(f"{component:.3g}" for component in snapshot.velocity[:, bad[0]])
+        text = f"(rho - rho0)/rho0 = {fluctuation[bad[0]]:.3g} and velocity ({velocity}) m/s"
         raise _unstable(f"{first_of(bad, snapshot.position)} has {text}", step, time)
 
 
 def check_position(position: Array, domain: Domain, step: int, time: float) -> None:
-    """Raise UnstableError if a particle (2, n_particles) is lost, or beyond a wall."""
+    """Raise UnstableError if a particle (n_dim, n_particles) is lost, or beyond a wall."""
     lost = ~np.isfinite(position).all(0)
     if domain.has_walls:
         lost |= ~domain.contains(position.T)

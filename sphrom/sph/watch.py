@@ -60,7 +60,7 @@ class Watch:
         self._rows: list[tuple[float, ...]] = []
 
     def see(self, time: float, position: Array, velocity: Array, fluctuation: Array) -> None:
-        """Add a snapshot; positions and velocities are (n_particles, 2)."""
+        """Add a snapshot; positions and velocities are (n_particles, n_dim)."""
         self._n_seen += 1
         if (self._n_seen - 1) % self.look_every:
             return

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sphrom.arrays import Array
+from sphrom.arrays import Array, Mask
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.metrics.measures import Probes, Samples, grid_points, midpoints, spread
+from sphrom.metrics.grids import Slices, grid_points, midpoints, spread
+from sphrom.metrics.measures import Probes, Samples
 from sphrom.sph.fluid import pressure_of
 from sphrom.store.trajectory import snapshot_fields
 
@@ -34,6 +35,8 @@ def probes_of(case: Case) -> Probes:
     """
     domain = case.scene.domain
     x = case.plan.probe_line
+    if domain.n_dim > 2:
+        return _probes_in_space(case, x)
     spans = domain.sections(x)
     if not spans:
         raise CaseError(f"compare.line: there is no fluid at x = {x:g} m")
@@ -55,6 +58,34 @@ def probes_of(case: Case) -> Probes:
     )
 
 
+def _probes_in_space(case: Case, x: float) -> Probes:
+    """Return the probes of a box in space: a line along y, a grid, and the slices of pictures.
+
+    The grid has about as many points as that of a square.
+    """
+    domain = case.scene.domain
+    line = np.tile(0.5 * np.add(domain.lower, domain.upper), (case.compare.line_points, 1))
+    line[:, 0] = x
+    line[:, 1] = midpoints(domain.lower[1], domain.upper[1], len(line))
+    edges = np.array(domain.lengths)
+    n_longest = case.compare.grid ** (2.0 / len(edges))
+    shape = np.maximum(2, np.round(n_longest * edges[::-1] / edges.max())).astype(int)
+    slices = Slices(domain.lower, domain.upper)
+    left, right, bottom, top = slices.extent
+    sides = np.array([top - bottom, right - left])
+    n_rows, n_columns = np.round(case.compare.grid * sides / edges.max()).astype(int).tolist()
+    pictured = slices.places(grid_points((left, bottom), (right, top), (n_rows, n_columns)))
+    in_fluid: Mask = np.isfinite(pictured[:, 0])
+    return Probes(
+        line=line,
+        grid=grid_points(domain.lower, domain.upper, shape.tolist()),
+        grid_shape=(n_rows, n_columns),
+        in_fluid=in_fluid,
+        stations=np.empty((0, len(edges))),
+        on_slices=pictured[in_fluid],
+    )
+
+
 def sample_run(
     case: Case,
     trajectory: Artifact,
@@ -62,7 +93,7 @@ def sample_run(
     advance: Callable[[int], None] = lambda done: None,
     snapshots: Sequence[int] | None = None,
 ) -> Samples:
-    """Sample the particles of a run at points (n_points, 2) [m], at some or all snapshots.
+    """Sample the particles of a run at points (n_points, n_dim) [m], at some or all snapshots.
 
     A run that became unstable is sampled as long as there are particles near all points.
     """
@@ -71,7 +102,7 @@ def sample_run(
     times = trajectory.read("time")
     sample = sampler(case, points)
     chosen = range(len(times)) if snapshots is None else snapshots
-    velocities = np.empty((len(chosen), len(points), 2))
+    velocities = np.empty((len(chosen), *points.shape))
     pressures = np.empty((len(chosen), len(points)))
     for i, snapshot in enumerate(chosen):
         try:

@@ -11,7 +11,7 @@ from sphrom.arrays import Array
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, UnstableError
-from sphrom.metrics.measures import TORQUE, FieldMeasure, Quantities, with_coefficients
+from sphrom.metrics.measures import FieldMeasure, Quantities, of_loads, with_coefficients
 from sphrom.metrics.quantities import MEASURABLE
 from sphrom.sph.fluid import pressure_of
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # it imports kernels, which take long and which reduced runs 
     from sphrom.setup.particles import MeasuredParticles
     from sphrom.sph.domain import Walls
     from sphrom.sph.functional import WallForces
+    from sphrom.sph.space_functional import SpaceWallForces
     from sphrom.sph.time_loop import Item, Snapshot
     from sphrom.sph.watch import Watch
 
@@ -27,17 +28,21 @@ PARTS = ("pressure", "viscous")
 """The parts of a force."""
 
 
-def force_datasets(name: str, loads: Array) -> dict[str, Array]:
-    """Return the forces and torques (..., 2, 3) [N/m, N] of a measurement, by dataset."""
-    forces = {f"force/{name}/{p}": loads[..., i, :TORQUE] for i, p in enumerate(PARTS)}
-    torques = {f"force/{name}/{p}_torque": loads[..., i, TORQUE] for i, p in enumerate(PARTS)}
-    return forces | torques
+def force_datasets(name: str, loads: Array, n_dim: int = 2) -> dict[str, Array]:
+    """Return the loads (..., 2, 3) of a measurement, as in `of_loads`, by dataset."""
+    parts = [of_loads(loads[..., i, :], n_dim) for i in range(len(PARTS))]
+    forces = {f"force/{name}/{p}": each["force"] for p, each in zip(PARTS, parts, strict=True)}
+    if n_dim == 2:
+        forces |= {
+            f"force/{name}/{p}_torque": each["torque"] for p, each in zip(PARTS, parts, strict=True)
+        }
+    return forces
 
 
 def read_forces(artifact: Artifact, name: str) -> Array:
-    """Return the pressure and the viscous force with torque (n_snapshots, 2, 3) [N/m, N]."""
-    paths = [f"force/{name}/{p}" for p in PARTS]
-    parts = [np.column_stack((artifact.read(p), artifact.read(f"{p}_torque"))) for p in paths]
+    """Return the pressure and the viscous loads (n_snapshots, 2, 3), as in `of_loads`."""
+    read = [[f"force/{name}/{p}", f"force/{name}/{p}_torque"] for p in PARTS]
+    parts = [np.column_stack([artifact.read(p) for p in paths if p in artifact]) for paths in read]
     return np.stack(parts, axis=1)
 
 
@@ -60,15 +65,15 @@ def write_positions(artifact: ArtifactWriter, measures: Mapping[str, FieldMeasur
 def read_quantities(artifact: Artifact, name: str) -> Quantities:
     """Return the recorded values of a measurement, by quantity (n_snapshots, ...)."""
     if f"force/{name}/pressure" in artifact:
-        return totals(read_forces(artifact, name))
+        in_plane = f"force/{name}/pressure_torque" in artifact
+        return totals(read_forces(artifact, name), 2 if in_plane else 3)
     paths = {quantity: f"measure/{name}/{quantity}" for quantity in MEASURABLE}
     return {quantity: artifact.read(p) for quantity, p in paths.items() if p in artifact}
 
 
-def totals(loads: Array) -> Quantities:
+def totals(loads: Array, n_dim: int) -> Quantities:
     """Return total force and torque, by quantity, from the parts of loads (..., 2, 3)."""
-    total = loads.sum(axis=-2)
-    return {"force": total[..., :TORQUE], "torque": total[..., TORQUE]}
+    return of_loads(loads.sum(axis=-2), n_dim)
 
 
 def measured_of(case: Case, artifact: Artifact) -> dict[str, Quantities]:
@@ -88,9 +93,10 @@ class TrajectoryWriter:
         sound_speed: float,
         n_modes: int | None = None,
         *,
+        n_dim: int = 2,
         separate_mean: bool = False,
         walls: Walls | None = None,
-        forces: WallForces | None = None,
+        forces: WallForces | SpaceWallForces | None = None,
         fields: MeasuredParticles | None = None,
         watch: Watch | None = None,
     ) -> None:
@@ -102,8 +108,8 @@ class TrajectoryWriter:
         shapes: dict[str, tuple[int, ...]] = {
             "time": (),
             "step": (),
-            "position": (n_particles, 2),
-            "velocity": (n_particles, 2),
+            "position": (n_particles, n_dim),
+            "velocity": (n_particles, n_dim),
             "density_fluctuation": (n_particles,),
             "pressure": (n_particles,),
         }
@@ -113,7 +119,7 @@ class TrajectoryWriter:
             shapes["mean_density_fluctuation"] = ()
         at_rest: dict[str, Array] = {}
         for wall in () if forces is None else forces.walls:
-            at_rest |= force_datasets(wall, np.zeros((2, 3)))
+            at_rest |= force_datasets(wall, np.zeros((2, 3)), n_dim)
         if fields is not None:
             write_positions(artifact, fields.measures)
             at_rest |= field_datasets(fields.at_rest)
@@ -143,7 +149,7 @@ class TrajectoryWriter:
         if self._forces is not None:
             state = np.vstack((snapshot.position, snapshot.density_fluctuation, snapshot.velocity))
             for name, loads in self._forces(state, time).items():
-                values |= force_datasets(name, loads)
+                values |= force_datasets(name, loads, len(snapshot.position))
         if self._fields is not None:
             try:
                 values |= field_datasets(
@@ -198,7 +204,7 @@ def require_complete(trajectory: Artifact) -> None:
 
 
 def snapshot_fields(trajectory: Artifact, snapshot: int) -> tuple[Array, Array, Array]:
-    """Return position (N, 2), density fluctuation (N,) and velocity (N, 2) of one snapshot."""
+    """Return position (N, n_dim), density fluctuation (N,) and velocity of one snapshot."""
     names = ("position", "density_fluctuation", "velocity")
     position, density, velocity = (np.asarray(trajectory.dataset(n)[snapshot]) for n in names)
     return position, density, velocity

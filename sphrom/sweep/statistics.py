@@ -25,7 +25,7 @@ from sphrom.case.studies import sweep_model
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import Oscillating, in_regime
-from sphrom.metrics.quantities import MEASURABLE, components
+from sphrom.metrics.quantities import MEASURABLE, components, unit_of
 from sphrom.metrics.series import OSCILLATION, REGIMES
 from sphrom.plots.panels import Curve, Panel, draw_grid, save
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
@@ -159,7 +159,9 @@ def _outputs(
         mass = case.plan.mass * case.plan.n_particles
         error = over_fluid[..., 0]
         energy_errors = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
-    yield Output(f"kinetic_energy{ending}", "J/m", along, energies, energy_errors)
+    n_dim = case.scene.domain.n_dim
+    unit = unit_of("kinetic_energy", n_dim)
+    yield Output(f"kinetic_energy{ending}", unit, along, energies, energy_errors)
     for name, prefix, quantity in product(case.scene.measure, ("", FINAL), MEASURABLE):
         if (path := f"measure/{name}/{prefix}{quantity}") not in runs:
             continue
@@ -177,7 +179,7 @@ def _outputs(
         for component, values in components(quantity, runs[path]).items():
             column = f"{name}_{prefix}{component}{ending}"
             kind = LINE if prefix else along
-            yield Output(column, MEASURABLE[quantity].unit, kind, values, parts.get(component))
+            yield Output(column, unit_of(quantity, n_dim), kind, values, parts.get(component))
 
 
 def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statistics | None:

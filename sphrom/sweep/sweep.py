@@ -28,6 +28,7 @@ from sphrom.errors import ArtifactError, CaseError, UnstableError
 from sphrom.metrics import measures
 from sphrom.metrics.draws import fewest_runs
 from sphrom.metrics.measures import DRY, STATISTICS
+from sphrom.metrics.quantities import unit_of
 from sphrom.metrics.series import ESTIMATED, OSCILLATION, REGIMES
 from sphrom.models.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
@@ -197,6 +198,7 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     if any(REGIME in record.values for record in records):
         names[REGIME] = None
     names |= FIGURES
+    names["kinetic_energy"] = unit_of("kinetic_energy", case.scene.domain.n_dim)
     if any(MEASURED_ERRORS[0] in record.values for record in records):
         names |= {f"error_estimate_{name}": "%" for name in case.scene.columns}
     names |= dict.fromkeys((*derivatives, "error_estimate_extrapolated", "reason"))

@@ -33,7 +33,7 @@ def test_defaults_of_models_and_fits() -> None:
 ANYWHERE = {
     "low", "high", "from", "to",
     "lower", "upper", "centre", "polygon", "line", "translate", "distance", "velocity", "rotation",
-    "constants", "body_force", "u", "v", "p", "box", "train", "test", "points", "sample",
+    "constants", "body_force", "u", "v", "w", "p", "box", "train", "test", "points", "sample",
     "parameters", "training", "level",
 }  # fmt: skip
 """Keys whose numbers may have either sign."""

@@ -187,7 +187,7 @@ def test_wrong_knots(load, knots: dict[str, Any], words: str) -> None:
         ({"histories": {"a-b": {"file": "sway.csv"}}}, "must be a name of letters"),
         ({"histories": {"sway": {"file": "sway.csv", "time": 1}}}, "sway.time: must be text"),
         ({"walls": {"top": {"velocity": ["sway(t) + 1", 0]}, "x": {}}}, "give velocity"),
-        ({"walls": {"top": {"velocity": ["sway(t)", "t"]}}}, "top.velocity: both components"),
+        ({"walls": {"top": {"velocity": ["sway(t)", "t"]}}}, "top.velocity: all components"),
         (
             {"walls": {"top": {"velocity": ["1/t", 0]}}},
             r"walls\.top\.velocity: is not finite at t = 0 s",

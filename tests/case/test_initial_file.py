@@ -120,5 +120,5 @@ def test_files_that_hold_no_start(refusal, content, words: str) -> None:
 
 
 def test_expressions_beside_a_file_are_refused(load) -> None:
-    with pytest.raises(CaseError, match="file can't be combined with u, v and p"):
+    with pytest.raises(CaseError, match="file can't be combined with u, v, w and p"):
         load(SQUARE, initial={"file": "start.csv", "u": 1.0})

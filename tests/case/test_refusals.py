@@ -83,6 +83,13 @@ scene:
   fluid: {level: 0.5, gravity: 1.0}
 rom: [{name: fast, evaluation: operators, n_modes: 3}]
 """,
+    "space": """
+name: x
+discretization: {resolution: 24}
+scene:
+  kind: custom
+  box: {lower: [0, 0, 0], upper: [2, 1, 1], periodic: [x]}
+""",
 }
 """The cases of the groups of `refusals.txt`."""
 

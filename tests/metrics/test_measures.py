@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.metrics.measures import shares, statistics, variations, with_coefficients
+from sphrom.metrics.measures import (
+    FieldMeasure,
+    FlowRate,
+    Integral,
+    of_loads,
+    shares,
+    statistics,
+    variations,
+    with_coefficients,
+)
+from sphrom.metrics.quantities import Column
 
 TIME = np.linspace(0.0, 10.0, 200)
 NOISE = np.random.default_rng(4).normal(size=(200, 2))
@@ -54,3 +64,40 @@ def test_a_coefficient_is_a_factor_of_the_force() -> None:
     found = with_coefficients(measured, {"drag": 20.0})
     assert found["drag"]["coefficient"].tolist() == [[40.0, 10.0]]
     assert "coefficient" not in found["wake"]
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_flow_rate_in_space_is_exact_for_polynomials(axis) -> None:
+    ends = np.array([[0.5, 3.0, -1.0], [2.0, 1.0, 1.0]])
+    ends[:, axis] = 0.25
+    measure = FlowRate.through(ends, 0.7)
+    a, b = (measure.position[:, k] for k in range(3) if k != axis)
+    velocity = np.zeros_like(measure.position)
+    velocity[:, axis] = a**5 * b**2
+    low, high = np.sort(np.delete(ends, axis, axis=1), axis=0)
+    exact = np.diff([low[0] ** 6, high[0] ** 6]) / 6.0 * np.diff([low[1] ** 3, high[1] ** 3]) / 3.0
+    rate = measure.of(velocity, np.zeros(len(a)))["flow_rate"]
+    np.testing.assert_allclose(rate, exact[0], rtol=1e-13)
+
+
+def test_lines_and_integrals_in_space() -> None:
+    ends = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 2.0]])
+    line = FieldMeasure.line(ends, 5)
+    np.testing.assert_allclose(line.position[2], [0.5, 1.0, 1.0])
+    along = Integral(ends, 0.4)
+    pressure = along.position[:, 2] ** 2
+    found = along.of(along.position, pressure)
+    np.testing.assert_allclose(found["pressure_integral"], 3.0 * 4.0 / 3.0)
+    np.testing.assert_allclose(found["velocity_integral"], [1.5, 3.0, 3.0])
+
+
+def test_vectors_in_space_have_three_components_and_units_of_space() -> None:
+    columns = Column.named("lid", ("force", "torque", "flow_rate"), 3)
+    assert [*columns] == ["lid_force_x", "lid_force_y", "lid_force_z", "lid_flow_rate"]
+    assert (columns["lid_force_z"].units, columns["lid_flow_rate"].units) == ("N", "m3/s")
+    sizes = variations("force", np.stack((TIME, 0.5 * TIME, 2.0 + TIME), axis=1))
+    assert [*sizes] == ["force", "force_x", "force_y", "force_z"]
+    loads = np.array([3.0, 5.0, 7.0])
+    assert [*of_loads(loads, 3)] == ["force"]
+    np.testing.assert_array_equal(of_loads(loads, 3)["force"], loads)
+    assert of_loads(loads, 2)["torque"] == 7.0

@@ -20,6 +20,7 @@ import pytest
 import sphrom as package
 from sphrom.case.loader import parameter_point
 from sphrom.errors import CaseError
+from sphrom.metrics.measures import Samples
 from sphrom.models.points.fast_model import FastModel, FastRun
 from sphrom.models.points.portable import Products
 from sphrom.portable import fmu, page
@@ -27,6 +28,7 @@ from sphrom.portable.document import content, document, fields
 from sphrom.reduction.affine import VISCOSITY
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.reference_model import Integrator
+from sphrom.sph.space_box import SpaceBox
 
 ROOT = Path(__file__).parents[2]
 VORTEX = {
@@ -518,6 +520,47 @@ def test_the_vorticity_of_a_page_is_that_of_the_flow(shown) -> None:
     largest = 4 * np.pi * amplitude
     assert np.abs(found).max() == pytest.approx(largest, rel=0.05)
     assert abs(np.mean(found)) < 1e-3 * largest
+
+
+@pytest.mark.slow
+def test_a_page_of_a_box_in_space_shows_three_slices(
+    trained, browser, tmp_path, monkeypatch
+) -> None:
+    model = trained("vortex")
+    known = document(model)
+    n_columns = 1 + known["n_modes"] + known["n_own"]
+    box = SpaceBox((0.0, 0.0, 1.0), (2.0, 1.0, 2.0), (True, True, False))
+    factors = np.random.default_rng(2).normal(size=(n_columns, 3))
+
+    def samples(_: Any, points: np.ndarray) -> Samples:
+        velocity = factors[:, None] * np.sin(points)
+        return Samples(np.zeros(n_columns), velocity, np.cos(velocity[..., 2]))
+
+    scene = SimpleNamespace(domain=box)
+    stub = SimpleNamespace(
+        workspace=SimpleNamespace(case=SimpleNamespace(scene=scene)),
+        family=SimpleNamespace(part=lambda _: samples),
+    )
+    in_space = fields(stub, 24)
+    known["geometry"] |= {"lower": list(box.lower), "upper": list(box.upper), "fluid": []}
+    monkeypatch.setattr(page.document, "fields", lambda *_: in_space)
+    monkeypatch.setattr(page.document, "document", lambda _: known)
+    path = tmp_path / "page.html"
+    path.write_bytes(page.content(model, 24))
+    browser.open(path)
+    state = np.array(browser.value("[1, ...stateAt(end)]"))
+    for number, name in enumerate(("x-velocity", "y-velocity", "z-velocity")):
+        seen = np.array(browser.value(f"[...fieldOf(columnsOf['{name}'], stateAt(end))]"))
+        exact = np.tensordot(state, in_space["modes"][number], 1).ravel()
+        assert np.abs(seen - exact).max() < 1e-3 * np.abs(exact).max()
+    inside = in_space["inside"].astype(bool)
+    assert 0.7 < inside.mean() < 1.0
+    assert not inside[-1, -1]
+    names = browser.value("[...document.querySelectorAll('#quantity option')].map(x => x.value)")
+    assert names == ["speed", "pressure", "x-velocity", "y-velocity", "z-velocity"]
+    labels = browser.value("['rightward', 'right', 'top'].map(name => $(name).textContent)")
+    assert labels == ["x, then z [m]", "2", "2"]
+    assert (browser.requests, browser.problems) == ([], [])
 
 
 @pytest.mark.slow

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from sphrom.errors import ArtifactError
-from sphrom.metrics.measures import grid_points
-from sphrom.plots.panels import Curve, Field, Frame, Panel, colour_scale, draw_grid, save
+from sphrom.metrics.grids import Slices, grid_points
+from sphrom.plots.frames import Frame
+from sphrom.plots.panels import Curve, Field, Panel, colour_scale, draw_grid, save
 
 FRAME = Frame((0.0, 1.0, 0.0, 1.0))
 X = np.linspace(0.0, 1.0, 31)
@@ -89,6 +90,21 @@ def test_scattered_points_leave_the_outside_of_the_fluid_empty() -> None:
     ny, nx = empty.shape
     assert empty[: int(0.4 * ny), int(0.6 * nx) :].all()
     assert not empty[int(0.6 * ny) :].any()
+
+
+def test_a_box_in_space_is_shown_by_three_slices_with_numbers_along_both_axes() -> None:
+    slices = Slices((0.0, 0.0, 0.0), (2.0, 1.0, 1.0))
+    frame = Frame(slices.extent, slices=slices)
+    position = grid_points(slices.lower, slices.upper, (10, 10, 20))
+    values = frame.raster(position)(position @ [1.0, 10.0, 100.0])
+    ny, nx = values.shape
+    shown = grid_points((0.0, 0.0), (slices.extent[1], slices.extent[3]), (ny, nx))
+    expected = slices.places(shown) @ [1.0, 10.0, 100.0]
+    np.testing.assert_array_equal(np.isnan(values.ravel()), np.isnan(expected))
+    assert np.nanmax(np.abs(values.ravel() - expected)) < 0.06 * 111.0
+    axes = draw_grid([[Field("full", "speed [m/s]", values)]], frame).axes[0]
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["0", "1", "0", "0.5", "1"]
+    assert (axes.get_xlabel(), frame.ends) == ("x, then z [m]", (0.0, 1.0, 0.0, 1.0))
 
 
 def test_runs_that_became_unstable_decide_no_scale() -> None:

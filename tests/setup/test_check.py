@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -10,7 +11,9 @@ import pytest
 
 from sphrom.case.models import Case
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import BASELINE, described_run, full_seconds, needs, run
+from sphrom.setup.cost import BASELINE, described_run, full_seconds, needs, run, stage_times
+from sphrom.stages import PIPELINE
+from sphrom.text import duration
 
 
 def described(case: Case) -> str:
@@ -130,3 +133,23 @@ def test_a_run_takes_what_is_kept_of_it() -> None:
     assert none == 0
     assert snapshots == 8 * case.plan.n_particles * (4 * case.plan.steps.n_snapshots + 2)
     assert snapshots < particles
+
+
+def test_the_stages_are_the_parts_of_the_whole(tmp_path: Path) -> None:
+    """The time of a stage with runs is that of the runs, shared by workers, and of loading."""
+    models = [{"name": "x", "n_modes": 3}, {"name": "y", "evaluation": "operators", "n_modes": 3}]
+    case = make("open-cavity", rom=models)
+    context = StageContext(case, tmp_path, False, None, Mock())
+    times = stage_times(context)
+    assert tuple(times) == PIPELINE
+    shared = stage_times(replace(context, workers=len(case.plan.points)))
+    for stage, name in (("fom", "full runs"), ("map", "maps"), ("rom", "reduced runs")):
+        loading = times[stage].seconds - times[stage].items[name]
+        assert 0.0 < loading < 1.0
+        parts = [seconds for item, seconds in times[stage].items.items() if item != name]
+        assert times[stage].items[name] == pytest.approx(sum(parts) * len(case.plan.points))
+        assert shared[stage].seconds == pytest.approx(loading + sum(parts))
+    whole = sum(time.seconds for time in times.values())
+    assert f"all stages of `sphrom run`: about {duration(whole)} on one core" in checked(
+        case, tmp_path
+    )

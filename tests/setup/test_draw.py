@@ -11,6 +11,7 @@ from matplotlib.quiver import Quiver
 
 from sphrom.case.models import Case
 from sphrom.case.scenes import DEFAULTS
+from sphrom.metrics.grids import GAP
 from sphrom.setup.draw import draw
 
 SCENE = {
@@ -70,9 +71,12 @@ def test_every_scene_can_be_drawn(kind: str) -> None:
     case = make({"kind": kind})
     axes = draw(case).axes[0]
     shown = [text.get_text().split(",")[0] for text in axes.texts]
-    assert shown == list(case.scene.domain.wall_names)
+    assert list(dict.fromkeys(shown)) == list(case.scene.domain.wall_names)
     number = case.scene.domain.n_particles(case.plan.particle_spacing)
-    assert axes.collections[0].get_label() == f"fluid particles, {number}"
+    label = f"fluid particles, {number}"
+    if case.scene.domain.n_dim == 3:
+        label = f"fluid particles in the slices, {3 * 40**2}"
+    assert axes.collections[0].get_label() == label
 
 
 @pytest.mark.parametrize(("name", "head"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml")])
@@ -129,3 +133,33 @@ def test_what_is_measured_is_drawn_with_its_name() -> None:
     arrow = axes.collections[-1]
     assert isinstance(arrow, Quiver)
     assert arrow.U[0] > 0.0 == arrow.V[0]  # to the right, seen from start to end
+
+
+def test_a_box_in_space_is_drawn_as_three_slices() -> None:
+    measure = {
+        "flux": {"flow_rate": {"from": [1, 0, 0], "to": [1, 1, 2]}},
+        "inside": {"probe": [0.5, 0.25, 1.5]},
+    }
+    axes = draw(make({
+        "kind": "custom",
+        "box": {"lower": [0, 0, 0], "upper": [4, 1, 2], "periodic": ["x"]},
+        "walls": {"front": {"velocity": ["3*sin(pi*y)", 0, 0]}},
+        "measure": measure,
+    })).axes[0]  # fmt: skip
+    assert axes.get_xlim() == pytest.approx((0.0, 4.0 + GAP * 4.0 + 2.0))
+    names = [text.get_text() for text in axes.texts if text.get_text() not in measure]
+    # Beside the slice of x and y, that of z and y, and that of x and z.
+    assert names[:2] == ["bottom", "top"]
+    assert sorted(names[2:6]) == ["back", "bottom", "front, 3 m/s", "top"]
+    assert names[6:] == ["back", "front, 3 m/s"]
+    right = 4.0 + GAP * 4.0
+    upper = 1.0 + GAP * 4.0
+    probes = [line.get_xydata()[0] for line in axes.lines if line.get_label() == "probes"]
+    np.testing.assert_allclose(probes, [(0.5, 0.25), (right + 1.5, 0.25), (0.5, upper + 1.5)])
+    _, across, _ = (line.get_xydata() for line in axes.lines if line.get_label() == "sections")
+    corners = [(right, 0.0), (right + 2.0, 0.0), (right + 2.0, 1.0), (right, 1.0)]
+    assert {(round(x, 9), round(y, 9)) for x, y in across} == {
+        (round(x, 9), round(y, 9)) for x, y in corners
+    }
+    moving = [found for found in axes.collections if isinstance(found, Quiver)]
+    assert [bool(arrows.U.any()) for arrows in moving] == [False, True]  # seen along x, and y

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sphrom.metrics.measures import grid_points
+from sphrom.metrics.grids import grid_points
 from sphrom.scenes.flows import LidDrivenCavity, OpenCavity
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 

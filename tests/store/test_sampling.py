@@ -12,6 +12,7 @@ from sphrom.metrics.measures import Samples
 from sphrom.models.reference.limits import sample_best
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, reconstruct, with_pressures
 from sphrom.sph.box_domain import BoxDomain, Rectangle
+from sphrom.sph.space_box import SpaceBox
 from sphrom.store.stored_run import probes_of, sample_run
 
 
@@ -129,3 +130,22 @@ def test_sampling_is_second_order_up_to_the_walls(case_of, made_up, kind):
         expected = flow(probes.all, time)
         np.testing.assert_allclose(velocity, expected[0], atol=1e-9)
         np.testing.assert_allclose(pressure, expected[1], atol=1e-9)
+
+
+def test_probes_of_a_box_in_space() -> None:
+    domain = SpaceBox((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), (True, False, True))
+    case = SimpleNamespace(
+        scene=SimpleNamespace(domain=domain),
+        plan=SimpleNamespace(probe_line=0.5),
+        compare=SimpleNamespace(line_points=4, grid=27),
+    )
+    probes = probes_of(case)
+    np.testing.assert_allclose(probes.line[1], [0.5, 0.375, 0.5])
+    # As many points along the longer side as give a cube the number of points of a square.
+    assert probes.grid.shape == (9 * 4 * 4, 3)
+    assert domain.contains(probes.all).all()
+    picture = probes.picture(probes.pictured[:, 2])
+    assert picture.shape == probes.grid_shape
+    assert np.isnan(picture[-1, -1])
+    assert picture[0, 0] == pytest.approx(0.5)
+    assert picture[-1, 0] > 0.9

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sphrom.metrics.grids import midpoints
 from sphrom.metrics.histories import instantaneous_range, relative_discrepancy
-from sphrom.metrics.measures import midpoints
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.particle_model import ParticleModel, reduced_jacobian

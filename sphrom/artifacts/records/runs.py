@@ -75,7 +75,7 @@ class Start(Record):
 
     @property
     def state(self) -> Array:
-        """The full state (5, n_particles)."""
+        """The full state (2 n_dim + 1, n_particles)."""
         return np.vstack((self.position.T, self.density_fluctuation, self.velocity.T))
 
 
@@ -86,14 +86,16 @@ class State(Start, Settings, kind="sphrom/state"):
 
 
 class Force(Record):
-    """The force and torque of the fluid on a wall, per metre of depth."""
+    """The force and torque of the fluid on a wall, per metre of depth; the force alone in space."""
 
     pressure: Array = dataset("snapshot component", "N/m", "force of the pressure on a wall")
     viscous: Array = dataset("snapshot component", "N/m", "viscous force on a wall")
-    pressure_torque: Array = dataset(
-        "snapshot", "N", f"torque of the pressure {_ABOUT}, anticlockwise"
+    pressure_torque: Array | None = dataset(
+        "snapshot", "N", f"torque of the pressure {_ABOUT}, anticlockwise", default=None
     )
-    viscous_torque: Array = dataset("snapshot", "N", f"viscous torque {_ABOUT}, anticlockwise")
+    viscous_torque: Array | None = dataset(
+        "snapshot", "N", f"viscous torque {_ABOUT}, anticlockwise", default=None
+    )
 
 
 class Measured(Record):

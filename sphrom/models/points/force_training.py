@@ -139,7 +139,8 @@ def report_forces(model: BasisModel, basis: str) -> None:
             continue
         chosen = chosen_loads(errors, trained.places)
         expected = 100.0 * expected_errors(errors, trained.places)
-        for load, component in enumerate(("force x", "force y", "torque")):
+        third = "torque" if model.workspace.case.scene.domain.n_dim == 2 else "force z"
+        for load, component in enumerate(("force x", "force y", third)):
             figures = map(format_figure, expected[:, load])
             rows.append((name, component, *figures, "own pressure" if chosen[load] else "joint"))
     if rows:

@@ -11,7 +11,7 @@ from sphrom.arrays import Array
 from sphrom.artifacts.records.reduced_models import TrainedMeasure, WallForce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.metrics.measures import TORQUE
+from sphrom.metrics.measures import of_loads
 from sphrom.models.points.stored import snapshot_times
 from sphrom.reduction import held_out
 from sphrom.reduction.error_calibration import compared_snapshots, field_of
@@ -45,7 +45,8 @@ def output_shares(
             outputs[name, quantity] = values.reshape(offset.shape) - offset
     for name, force in forces.items():
         loads = _direct_loads(case, trained, force, snapshots.means, walls_driven)
-        outputs |= {(name, "force"): loads[:, :TORQUE], (name, "torque"): loads[:, TORQUE]}
+        of_force = of_loads(loads, case.scene.domain.n_dim)
+        outputs |= {(name, quantity): values for quantity, values in of_force.items()}
     if not outputs:
         return {}
     flat = [values.reshape(len(values), -1) for values in outputs.values()]

@@ -19,7 +19,7 @@ from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.studies import trained_ranges
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import Samples
-from sphrom.metrics.quantities import COEFFICIENT, MEASURABLE, component_names
+from sphrom.metrics.quantities import COEFFICIENT, MEASURABLE, component_names, unit_of
 from sphrom.models.points.basis_model import BasisModel
 from sphrom.models.points.fast_model import FastModel
 from sphrom.reduction.affine import VISCOSITY
@@ -326,7 +326,8 @@ class _Export:
             for quantity, terms in measure.quantities.items():
                 about = MEASURABLE[quantity]
                 for index in np.ndindex(terms.shape[:-1]):
-                    output = _output(name, quantity, index[-1] if about.is_vector else None)
+                    component = index[-1] if about.is_vector else None
+                    output = _output(name, quantity, component, self.case.scene.domain.n_dim)
                     if about.is_placed:
                         output["at"] = position[index[0]].tolist()
                         output["name"] += f"[{index[0]}]" * (len(position) > 1)
@@ -337,11 +338,13 @@ class _Export:
     def _force(self, name: str, force: TrainedForce, outputs: list[Numbers]) -> Numbers:
         """Return a force, and append its rows to the outputs."""
         rows = np.hstack((np.eye(3), np.eye(3)))
-        loads: list[tuple[str, int | None]] = [("force", 0), ("force", 1), ("torque", None)]
+        n_dim = self.case.scene.domain.n_dim
+        loads: list[tuple[str, int | None]] = [("force", axis) for axis in range(n_dim)]
+        loads += [("torque", None)] * (n_dim == 2)
         if (factor := self.case.plan.coefficients.get(name)) is not None:
-            rows = np.vstack((rows, factor * rows[:2]))
-            loads += [(COEFFICIENT, 0), (COEFFICIENT, 1)]
-        outputs += [_output(name, quantity, component) for quantity, component in loads]
+            rows = np.vstack((rows, factor * rows[:n_dim]))
+            loads += [(COEFFICIENT, axis) for axis in range(n_dim)]
+        outputs += [_output(name, quantity, component, n_dim) for quantity, component in loads]
         driven = self.rates.operators.walls_driven
         projected = force.projected
 
@@ -404,13 +407,13 @@ def _times(rows: Array, polynomial: Polynomial) -> Polynomial:
     return Polynomial(tuple(map(tuple, powers)))
 
 
-def _output(name: str, quantity: str, component: int | None) -> Numbers:
+def _output(name: str, quantity: str, component: int | None, n_dim: int) -> Numbers:
     return {
-        "name": f"{name}_{component_names(quantity)[component or 0]}",
+        "name": f"{name}_{component_names(quantity, n_dim)[component or 0]}",
         "measure": name,
         "quantity": quantity,
         "component": component,
         "at": None,
-        "unit": MEASURABLE[quantity].unit,
+        "unit": unit_of(quantity, n_dim),
         "field": field_of(quantity),
     }

@@ -51,7 +51,8 @@ def quantities_of(
     if own is None:
         own = reduced.with_pressure(time, coordinates)[..., coordinates.shape[-1] :]
     forces = forces_of(reduced, time, coordinates, mean, own)
-    measured = {name: totals(loads) for name, loads in forces.items()}
+    n_dim = case.scene.domain.n_dim
+    measured = {name: totals(loads, n_dim) for name, loads in forces.items()}
     if reduced.measures:
         measured |= reduced.measured(np.concatenate((coordinates, own), axis=-1), mean)
     ordered = {name: measured[name] for name in (*case.scene.recorded, *measured)}

@@ -205,7 +205,7 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     mean = reduced.mean_density_fluctuation
     datasets = field_datasets(reduced.measured(done.states, mean))
     for name, loads in forces_of(reduced, done.time, done.coordinates).items():
-        datasets |= force_datasets(name, loads)
+        datasets |= force_datasets(name, loads, workspace.case.scene.domain.n_dim)
     write_positions(artifact, field_measures(workspace.case))
     for path, values in datasets.items():
         artifact.write(path, values)

@@ -245,6 +245,8 @@ def _forces(
             for model, step in ((side.below, -0.5 * side.width), (side.above, 0.5 * side.width))
         )
         differences.append({name: (high[name] - low[name]) / side.width for name in low})
+    n_dim = reduced.basis.velocity_modes.shape[-1]
     return {
-        name: totals(np.stack([loads[name] for loads in differences])) for name in reduced.forces
+        name: totals(np.stack([loads[name] for loads in differences]), n_dim)
+        for name in reduced.forces
     }

@@ -156,7 +156,9 @@ def recorded_of(case: Case, stored: BasisOperators) -> dict[str, Quantities]:
         name: {q: measure.training[f"training_{q}"] for q in measure.quantities}
         for name, measure in stored.measure.items()
     }
-    recorded |= {name: totals(force.training_loads) for name, force in stored.wall_force.items()}
+    n_dim = case.scene.domain.n_dim
+    for name, force in stored.wall_force.items():
+        recorded[name] = totals(force.training_loads, n_dim)
     ordered = {name: recorded[name] for name in case.scene.recorded}
     return with_coefficients(ordered, case.plan.coefficients)
 

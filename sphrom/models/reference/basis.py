@@ -34,8 +34,8 @@ def make_basis(workspace: Workspace) -> None:
                 for p in case.plan.train_points
             ]
             points = maps[0].read("reference_position")
-            # Every point of the reference space represents the same area (Eq. 3.15).
-            volume = np.full(len(points), case.plan.particle_spacing**2)
+            # Every point of the reference space represents the same volume (Eq. 3.15).
+            volume = np.full(len(points), case.plan.particle_spacing ** points.shape[1])
             artifact.write("reference_position", points)
             artifact.write("volume", volume)
             started = time.perf_counter()

@@ -155,5 +155,5 @@ def measured_of_best(
     mean = mean_density_fluctuation(reduced.basis, density)
     whole = fast.at_point(point).whole
     missed = density - reconstruct(reduced.basis, coordinates, mean)[0]
-    own = project(whole, missed, np.zeros((*missed.shape, 2)))[:, reduced.basis.n_modes :]
+    own = project(whole, missed, np.zeros((*missed.shape, whole.n_dim)))[:, reduced.basis.n_modes :]
     return quantities_of(workspace.case, reduced, time, coordinates, mean, own)

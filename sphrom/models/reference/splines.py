@@ -43,7 +43,7 @@ def fit_splines(workspace: Workspace) -> None:
 def fit(
     case: Case, points: Array, columns: Array, name: str, report: Reporter
 ) -> LocalSplines | LatticeSplines:
-    """Return the splines of functions (n_points, n_columns) through points (n_points, 2) [m].
+    """Return the splines of functions (n_points, n_columns) through points (n_points, n_dim) [m].
 
     Raises CaseError if they can't be fitted.
     """
@@ -72,8 +72,7 @@ def fit(
 
 def _summary(splines: LocalSplines | LatticeSplines) -> str:
     if isinstance(splines, LatticeSplines):
-        n_columns, n_rows = splines.lattice_shape
-        return f"B-splines on {n_columns} x {n_rows} points"
+        return f"B-splines on {' x '.join(map(str, splines.lattice_shape))} points"
     counts = np.diff(splines.cell_start)
     fitted = counts > 0
     solid = f", {np.sum(~fitted)} more in solids" if not fitted.all() else ""

@@ -23,7 +23,7 @@ from sphrom.store.workspace import Workspace
 
 
 def read_points(workspace: Workspace) -> Array:
-    """Read the points of the reference space (n_points, 2) [m]."""
+    """Read the points of the reference space (n_points, n_dim) [m]."""
     with workspace.open(workspace.basis()) as artifact:
         return artifact.read("reference_position")
 
@@ -107,7 +107,8 @@ def both(modes: Values, pressures: Values) -> Values:
 
     def values(points: Array) -> Array:
         own = pressures(points)
-        fields = np.stack((own, 0.0 * own, 0.0 * own), axis=2)
+        at_rest = [0.0 * own] * points.shape[1]
+        fields = np.stack((own, *at_rest), axis=2)
         return np.hstack((modes(points), fields.reshape(len(own), -1)))
 
     return values
@@ -126,7 +127,7 @@ def expand(
 
     `mean_density` (n_snapshots,) [kg/m3] is the separate mean of a basis that has one, else zero.
     """
-    values = values_at(points).reshape(len(points), -1, 3)
+    values = values_at(points).reshape(*points.shape[:1], -1, 1 + points.shape[1])
     fields = np.tensordot(coordinates, values, (1, 1))
     density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
     return Samples(times, fields[..., 1:], pressure_of(density, case.plan.sound_speed))

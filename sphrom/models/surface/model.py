@@ -16,12 +16,12 @@ from sphrom.artifacts.records.runs import SurfaceErrorEstimate
 from sphrom.case.measure_sections import ForceMeasure, RecordedMeasure, SurfaceMeasure
 from sphrom.case.model_sections import ALL, ReducedModelSection
 from sphrom.case.points import ParameterPoint
+from sphrom.metrics.grids import grid_points
 from sphrom.metrics.measures import (
     Probes,
     Quantities,
     Samples,
     combined,
-    grid_points,
     items,
     with_coefficients,
 )

@@ -1,0 +1,74 @@
+"""Checks of flows in boxes of three axes, and of keys that only flows in a plane may have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sphrom.case.custom_scene import CustomScene
+    from sphrom.case.models import Case
+
+Found = Iterator[tuple[str, str]]
+
+NOT_IN_SPACE = ("solids", "terms", "fluid", "resistance", "porous", "inflow")
+"""Keys of flows in a plane alone."""
+
+
+def check_axes(scene: CustomScene) -> None:
+    """Raise ValueError unless vectors have a component for each axis of the box.
+
+    Also if a box of three axes has keys of boxes of two.
+    """
+    n_axes = len(scene.axes)
+    if "z" in scene.box.periodic and n_axes == 2:
+        raise ValueError("box.periodic: z is for boxes of three axes; give box.lower and upper z")
+    vectors = {f"walls.{name}.velocity": wall.velocity for name, wall in scene.walls.items()}
+    vectors["body_force"] = scene.body_force if any(scene.body_force) else None
+    for key, vector in vectors.items():
+        if vector is not None and len(vector) != n_axes:
+            reason = f"must have {n_axes} components, one along each axis of the box"
+            raise ValueError(f"{key}: {reason}; got {len(vector)}")
+    if n_axes == 2:
+        if scene.initial.w != 0.0:
+            raise ValueError("initial.w: is for boxes of three axes; leave it out")
+        return
+    usual = type(scene).model_fields
+    for key in NOT_IN_SPACE:
+        if getattr(scene, key) != usual[key].default:
+            raise ValueError(f"{key}: is for flows in a plane; a box of three axes can't have it")
+    if scene.slip == "free":
+        raise ValueError("slip: walls of a box of three axes have friction; set slip: none")
+    if scene.initial.file is not None:
+        raise ValueError("initial.file: is for flows in a plane; give expressions in x, y, z")
+
+
+def check_space(case: Case) -> Found:
+    """Refuse keys for flows in a plane if the box has three axes."""
+    if case.scene.domain.n_dim == 2:
+        return
+    section = case.discretization
+    reason = "in a box of three axes"
+    for key, value, needed in (
+        ("discretization.viscosity", section.viscosity, "laplacian"),
+        ("discretization.shifting.form", section.shifting.form, "sun"),
+        ("discretization.shifting.transport", section.shifting.transport, "advective"),
+        ("discretization.walls.kind", section.walls.kind, "mirrored"),
+        ("discretization.walls.layers", section.walls.layers, None),
+        ("reference.method", case.reference.method, "mls"),
+        ("reference.points", case.reference.points, "lattice"),
+        ("basis.lagrangian", case.basis.lagrangian, False),
+    ):
+        if value != needed:
+            yield key, f"must be {'left out' if needed is None else needed} {reason}; got {value}"
+    fast = any(model.from_operators for model in case.rom)
+    for name in case.scene.measured_walls if fast else ():
+        forces = "only full runs have forces on walls"
+        yield f"scene.measure.{name}", f"{forces} {reason}; leave it out, or set rom: []"
+    if case.psi.kind == "polyharmonic":
+        yield "psi.kind", f"must be b-spline {reason}; got polyharmonic"
+    for i, model in enumerate(case.rom):
+        if not model.from_operators:
+            yield f"rom.{i}.evaluation", f"must be operators {reason}; got particles"
+        elif model.has_memory:
+            yield f"rom.{i}.projection", f"must be galerkin {reason}; got {model.projection}"
