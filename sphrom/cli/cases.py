@@ -26,8 +26,8 @@ cases = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
 )
 KINDS = (
-    "One of taylor-green, taylor-green-3d, lid-driven-cavity, lid-driven-cube, open-cavity, or "
-    "custom (a flow of your own)."
+    "One of taylor-green, lid-driven-cavity, open-cavity and custom (a flow of your own), and in "
+    "three dimensions taylor-green-3d and lid-driven-cube."
 )
 Output = Annotated[Path | None, option("FILE", "Write to this file.", "--output", "-o")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
