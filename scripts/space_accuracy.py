@@ -38,7 +38,7 @@ CASES = Path(sphrom.__file__).parent / "cases" / "new"
 SPECTRAL_STEP = 0.05
 N_POINTS = 32
 """Of the spectral solution along the cube: at Re 100 the energy at t = 2 agrees with 48 points."""
-GRIDS = (24, 36)
+GRIDS = (36, 48)
 """Cells along the cube of the two finite difference solutions."""
 PLACES = np.linspace(0.05, 0.95, 19)
 """On the centre lines."""

@@ -108,9 +108,9 @@ def table_rows(text: str) -> list[tuple[int, list[str]]]:
     return rows
 
 
-def place_text(place: Iterable[float]) -> str:
-    """Return coordinates as a text such as `(0.5, 1)`."""
-    return f"({', '.join(f'{coordinate:g}' for coordinate in place)})"
+def place_text(place: Iterable[float], digits: str = "g") -> str:
+    """Return coordinates as a text such as `(0.5, 1)`, in a format for numbers."""
+    return f"({', '.join(format(coordinate, digits) for coordinate in place)})"
 
 
 def data_size(n_bytes: int) -> str:

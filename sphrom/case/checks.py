@@ -153,7 +153,6 @@ _CHECKS: tuple[Callable[[Case], Found], ...] = (
     check_compare,
 )
 _SNAPSHOT_CHECKS: tuple[Callable[[Case], Found], ...] = (
-    check_space,
     check_training_runs,
     check_modes,
     check_reduced_times,

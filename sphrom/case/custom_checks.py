@@ -17,7 +17,6 @@ from sphrom.case.driving import (
     KEYS,
     N_CHECKED,
     Driving,
-    in_words,
     largest_norm,
     require_finite,
 )
@@ -25,7 +24,7 @@ from sphrom.metrics.series import pole_of
 from sphrom.scenes.expressions import MOST_QUOTED
 from sphrom.sph.fluid import Fluid
 from sphrom.sph.places import N_SAMPLES, TOUCHING
-from sphrom.text import shortened
+from sphrom.text import place_text, shortened
 
 if TYPE_CHECKING:
     from sphrom.case.custom_scene import CustomScene
@@ -64,8 +63,8 @@ def check_walls(driving: Driving) -> None:
         worst = int(np.argmax(across))
         if across[worst] > ALONG * float(np.max(np.hypot.reduce(velocity.T))):
             raise ValueError(
-                f"walls.{name}: its velocity at {in_words(place[worst])} m has a normal component "
-                f"of {across[worst]:.3g} m/s; walls may only move along themselves"
+                f"walls.{name}: its velocity at {place_text(place[worst])} m has a normal "
+                f"component of {across[worst]:.3g} m/s; walls may only move along themselves"
             )
 
 
@@ -223,7 +222,7 @@ def _through_wall(driving: Driving) -> tuple[float, str]:
             across = np.abs(np.sum(driving.initial(place)[:, :-1] * normal, axis=1))
             if across.max() > largest:
                 largest = float(across.max())
-                where = f"{name} at {in_words(place[np.argmax(across)], '.4g')} m"
+                where = f"{name} at {place_text(place[np.argmax(across)], '.4g')} m"
     return largest, where
 
 

@@ -59,7 +59,7 @@ class BoxSection(Section):
     """The box that contains the flow."""
 
     lower: Point = key((0.0, 0.0), "lower left corner, (x, y) or (x, y, z)", unit="m")
-    upper: Point = key((1.0, 1.0), "upper right corner, with as many coordinates", unit="m")
+    upper: Point = key((1.0, 1.0), "upper right corner", unit="m")
     periodic: tuple[Literal["x", "y", "z"], ...] = key((), "periodic axes")
 
 

@@ -21,6 +21,7 @@ from sphrom.scenes.expressions import Expression, Function
 from sphrom.scenes.flows import Amplitude, BodyForce
 from sphrom.scenes.histories import History
 from sphrom.sph.places import SAMPLES, Places
+from sphrom.text import place_text
 
 if TYPE_CHECKING:
     from sphrom.case.custom_scene import CustomScene
@@ -365,12 +366,7 @@ def require_finite(key: str, values: Array, place: Array) -> None:
     for value, where in zip(values[~good][:1], place[~good], strict=False):
         finite = np.isfinite(value).all()
         problem = f"above {LARGEST:g} in size" if finite else "not a finite number"
-        raise ValueError(f"{key}: is {problem} at {in_words(where)} m")
-
-
-def in_words(place: Array, digits: str = "g") -> str:
-    """Return the coordinates (n_dim,) [m] of a place in parentheses."""
-    return f"({', '.join(format(coordinate, digits) for coordinate in place)})"
+        raise ValueError(f"{key}: is {problem} at {place_text(where)} m")
 
 
 def finite_peak(key: str, places: Places, size: Callable[[Array], Array]) -> tuple[float, Array]:

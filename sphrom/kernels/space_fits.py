@@ -8,15 +8,14 @@ polynomial.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-import numpy as np
 from numba import prange
 
-from sphrom.arrays import Array, Indices
+from sphrom.arrays import Array
 from sphrom.kernels.interpolation import LEAST_PIVOT
 from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.pairs import kernel_of
+from sphrom.kernels.space_lists import SpaceSearch, cells_within, gap_to, sources_in_row
 
 N_TERMS, N_LINEAR = 10, 4
 """Terms of a quadratic polynomial: 1, x, y, z, x^2, y^2, z^2, x y, x z, y z; the linear ones."""
@@ -29,48 +28,6 @@ N_COLUMNS = N_TERMS + N_FIELDS
 N_ROWS = 3 * N_TERMS + N_COLUMNS + 1
 """Rows of scratch memory: sums; the factor C and its solution; terms and fields of sources, and
 their terms times the weight."""
-
-
-class SpaceCells(NamedTuple):
-    """Sources sorted by cell, in layers of rows of cells."""
-
-    origin: Array
-    """(3,) [m]."""
-    shape: Indices
-    """(3,) numbers of cells."""
-    size: float
-    """Edge of a cell [m]."""
-    start: Indices
-    """(n_cells + 1,) the first source of each cell."""
-
-
-def sort_by_cell(place: Array, size: float) -> tuple[Indices, SpaceCells]:
-    """Return the order of sources at (3, n_sources) [m] by cell, and the cells of a size [m]."""
-    origin = place.min(axis=1)
-    cell = ((place - origin[:, None]) / size).astype(np.int64)
-    shape = cell.max(axis=1) + 1
-    number = (cell[2] * shape[1] + cell[1]) * shape[0] + cell[0]
-    start = np.concatenate(([0], np.cumsum(np.bincount(number, minlength=int(shape.prod())))))
-    cells = SpaceCells(origin, shape, size, start)
-    return np.argsort(number, kind="stable"), cells
-
-
-@term
-def _span(
-    axis: int, place: tuple[float, float, float], reach: float, cells: SpaceCells
-) -> tuple[int, int]:
-    """Return the first cell along an axis within reach of a place, and one past the last."""
-    along = place[axis] - cells.origin[axis]
-    first = math.floor((along - reach) / cells.size)
-    last = math.floor((along + reach) / cells.size)
-    return min(max(first, 0), cells.shape[axis]), max(min(last + 1, cells.shape[axis]), 0)
-
-
-@term
-def _gap(axis: int, cell: int, place: tuple[float, float, float], cells: SpaceCells) -> float:
-    """Return the distance [m] of a place from a row or layer of cells, zero within it."""
-    along = place[axis] - cells.origin[axis] - cell * cells.size
-    return max(0.0, max(-along, along - cells.size))
 
 
 @term
@@ -152,8 +109,7 @@ def moving_least_squares(
     points: Array,
     linear: Array,
     source: Array,
-    cells: SpaceCells,
-    reach: float,
+    search: SpaceSearch,
     scratch: Array,
     out: Array,
 ) -> None:
@@ -164,7 +120,7 @@ def moving_least_squares(
     points : (3, n_points) [m].
     linear : (n_points,) share of a linear polynomial in the first field.
     source : (7, n_sources) rows x, y, z [m] and four fields, sorted by cell.
-    reach : the kernel's support radius, two smoothing lengths [m].
+    search : with the kernel's support radius as the reach.
     scratch : (N_CHUNKS, N_ROWS, WIDTH) zeros.
     out : (4, n_points) the fields; NaN if the sources within reach do not determine a polynomial.
     """
@@ -178,19 +134,16 @@ def moving_least_squares(
             place = (points[0, i], points[1, i], points[2, i])
             sums[:] = 0.0
             kept = 0
-            south, north = _span(1, place, reach, cells)
-            back, front = _span(2, place, reach, cells)
+            south, north = cells_within(place[1], place[1], 1, search)
+            back, front = cells_within(place[2], place[2], 2, search)
             for layer in range(back, front):
-                deep = _gap(2, layer, place, cells)
+                behind = gap_to(place[2], place[2], layer, 2, search)
                 for row in range(south, north):
-                    up = _gap(1, row, place, cells)
-                    half = math.sqrt(max(reach * reach - deep * deep - up * up, 0.0))
-                    west, east = _span(0, place, half, cells)
-                    base = (layer * cells.shape[1] + row) * cells.shape[0]
-                    first = cells.start[base + west]
-                    last = cells.start[base + max(west, east)]
+                    below = gap_to(place[1], place[1], row, 1, search)
+                    square = below * below + behind * behind
+                    first, last = sources_in_row(place[0], place[0], square, row, layer, search)
                     for k in range(first, last):
-                        kept = _keep_source(k, kept, place, source, 2.0 / reach, rows)
+                        kept = _keep_source(k, kept, place, source, search.inverse_length, rows)
                         if kept == WIDTH:
                             _add_products(kept, rows, sums)
                             kept = 0

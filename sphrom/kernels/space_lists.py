@@ -26,6 +26,13 @@ class SpaceGrid(NamedTuple):
     shape: Indices
     """(3,) numbers of cells."""
 
+    @classmethod
+    def around(cls, place: Array, size: Array) -> SpaceGrid:
+        """Return the cells of a size (3,) [m] that contain places (3, n_sources) [m]."""
+        origin = place.min(axis=1)
+        extent = place.max(axis=1) - origin
+        return cls(origin, size, (extent / size).astype(np.int64) + 1)
+
 
 class SpaceSearch(NamedTuple):
     """The cells with the sources in them, and how far to search (compare `cells.Search`)."""
@@ -93,6 +100,25 @@ def gap_to(low: float, high: float, number: int, axis: int, search: SpaceSearch)
 
 
 @term
+def sources_in_row(
+    west: float, east: float, square: float, row: int, layer: int, search: SpaceSearch
+) -> tuple[int, int]:
+    """Return the range of sources in a row of cells that may lie within reach of a range of x.
+
+    `square` is the squared distance of the row from the places [m2].
+    """
+    left = search.reach * search.reach - square
+    if left <= 0.0:
+        return 0, 0
+    half = math.sqrt(left)
+    first = math.floor((west - half - search.origin[0]) / search.size[0])
+    last = math.floor((east + half - search.origin[0]) / search.size[0])
+    base = (layer * search.shape[1] + row) * search.shape[0]
+    low = search.cell_start[base + min(max(first, 0), search.shape[0])]
+    return low, search.cell_start[base + min(max(last, -1), search.shape[0] - 1) + 1]
+
+
+@term
 def list_space_candidates(
     source: Array, targets: Indices, search: SpaceSearch, candidates: Array
 ) -> int:
@@ -114,15 +140,8 @@ def list_space_candidates(
         behind = gap_to(back, front, layer, 2, search)
         for row in range(first_row, last_row):
             below = gap_to(south, north, row, 1, search)
-            square = search.reach * search.reach - below * below - behind * behind
-            if square <= 0.0:
-                continue
-            half = math.sqrt(square)
-            first = math.floor((west - half - search.origin[0]) / search.size[0])
-            last = math.floor((east + half - search.origin[0]) / search.size[0])
-            base = (layer * search.shape[1] + row) * search.shape[0]
-            low = search.cell_start[base + min(max(first, 0), search.shape[0])]
-            high = search.cell_start[base + min(max(last, -1), search.shape[0] - 1) + 1]
+            square = below * below + behind * behind
+            low, high = sources_in_row(west, east, square, row, layer, search)
             if high > low:
                 end = n + high - low
                 if candidates.shape[1] > 0:

@@ -25,9 +25,11 @@ from scipy.spatial import cKDTree
 
 from sphrom.arrays import Array
 from sphrom.kernels import SUPPORT_RATIO, interpolation, space_fits
+from sphrom.kernels.space_lists import SpaceGrid, SpaceSearch, sort_by_space_cell
 from sphrom.metrics.elevation import HALF, Filled
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import periodic_images, sort_sources
+from sphrom.text import place_text
 
 FULL, N_NEAR = 0.95, 6
 """Where less than this share is filled, within 1.7 spacings of a free surface, values are limited
@@ -38,10 +40,9 @@ class TooFewParticlesError(ValueError):
     """The particles around a point do not determine an interpolation."""
 
     def __init__(self, number: int, place: Array, reach: float) -> None:
-        at = ", ".join(f"{x:.4g}" for x in place)
         super().__init__(
             f"too few particles, or all on one curve, within {reach:.3g} m of the point "
-            f"({at}) to interpolate there"
+            f"{place_text(place, '.4g')} to interpolate there"
         )
         self.number = number
         """Index of the point."""
@@ -97,10 +98,15 @@ class ReferenceMap:
         if n_dim == 3:
             particle, image = periodic_images(position.T, self.domain, reach)
             place = position.T[:, particle] + image
-            order, cells = space_fits.sort_by_cell(place, 0.5 * self.smoothing_length)
+            size = np.full(n_dim, 0.5 * self.smoothing_length)
+            grid = SpaceGrid.around(place, size)
+            order, start = sort_by_space_cell(place, grid)
             source = np.concatenate((place[:, order], fields[:, particle[order]]))
+            near = SpaceSearch(
+                grid.origin, grid.size, grid.shape, start, reach, 1.0 / self.smoothing_length
+            )
             space_fits.moving_least_squares(
-                self._points, self._linear, source, cells, reach, self._scratch, out
+                self._points, self._linear, source, near, self._scratch, out
             )
             return self._checked(out)
         sources = sort_sources(position.T, self.domain, reach, self.particle_spacing)

@@ -16,7 +16,7 @@ from sphrom.case.measure_sections import ElevationMeasure
 from sphrom.case.models import Case
 from sphrom.case.plan_flows import BEYOND
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import CaseError, UnstableError
+from sphrom.errors import UnstableError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.elevation import Filled, Filling, columns_of, lowest_surface
 from sphrom.metrics.measures import FLOW_RATES, FieldMeasure, Quantities
@@ -29,7 +29,6 @@ from sphrom.sph.domain import Walls
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import UnitForcing, pressure_of, volume_of
 from sphrom.sph.functional import Functional, MeasuredWall, WallForces, measured_wall
-from sphrom.sph.lattice import NotOnLatticeError
 from sphrom.sph.lattice_points import LatticePoints
 from sphrom.sph.space_functional import SpaceFunctional, SpaceWallForces
 from sphrom.sph.watch import Watch
@@ -40,8 +39,6 @@ SAMPLING_RATIO = 2.0
 """Smoothing length of the moving least squares that sample particles, over the spacing."""
 LOOK_EVERY = 8
 """Least number of steps between looks at a full run, which then take 0.3 % of its time."""
-IN_SPACE = 3
-"""Number of axes of a box in space."""
 HEIGHTS = 2
 """Number of heights per particle spacing at which the elevation is searched."""
 
@@ -49,7 +46,7 @@ HEIGHTS = 2
 def functional(case: Case, point: ParameterPoint) -> Functional:
     """Return the full-order functional at a parameter point."""
     flow = case.plan.flow(point)
-    if flow.domain.n_dim == IN_SPACE:
+    if flow.domain.n_dim > 2:
         return SpaceFunctional(
             case.plan.fluid(point),
             case.plan.discretization,
@@ -173,36 +170,24 @@ def drives(case: Case, position: Array) -> dict[str, UnitForcing[Array]]:
 def fixed_points(case: Case, position: Array) -> FixedPoints:
     """Return the sums over neighbours at the reference points (n_points, n_dim) [m].
 
-    Each driving parameter has a separate part in them. Raises CaseError for points that are not a
-    lattice, or measured forces, in three dimensions.
+    Each driving parameter has a separate part in them.
     """
     point = case.plan.train_points[0]
     flow, _ = case.plan.rest_and_units
     force = None if flow.body_force is None else flow.body_force.field(position.T)
-    in_space = position.shape[1] == IN_SPACE
-    if in_space and case.scene.measured_walls:
-        raise CaseError(
-            "scene.measure: models from operators have no forces on walls in three dimensions; "
-            "leave them out, or compute them by full runs alone"
-        )
-    points_of = LatticePoints if in_space else FixedPoints
-    try:
-        return points_of(
-            position,
-            case.plan.fluid(point),
-            case.plan.discretization,
-            flow.domain,
-            walls(case, flow),
-            force,
-            walls_driven=flow.wall_amplitude is not None,
-            drives=drives(case, position),
-            resistance=flow.resistance,
-            terms=flow.terms,
-        )
-    except NotOnLatticeError as error:
-        raise CaseError(
-            f"reference.points: {error}; set it to lattice in three dimensions"
-        ) from error
+    points_of = FixedPoints if position.shape[1] == 2 else LatticePoints
+    return points_of(
+        position,
+        case.plan.fluid(point),
+        case.plan.discretization,
+        flow.domain,
+        walls(case, flow),
+        force,
+        walls_driven=flow.wall_amplitude is not None,
+        drives=drives(case, position),
+        resistance=flow.resistance,
+        terms=flow.terms,
+    )
 
 
 def filled(case: Case, points: Array) -> Filled:

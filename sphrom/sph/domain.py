@@ -19,6 +19,7 @@ from shapely.geometry.base import BaseGeometry
 
 from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.polygons import ROUNDING, least_widths
+from sphrom.text import place_text
 
 FINEST = 5e-5
 """Size of the finest features that count in the measurement of widths, over that of the box."""
@@ -70,9 +71,9 @@ def lattice_points(x: Array, y: Array) -> Array:
 
 def first_of(particles: Indices, position: Array) -> str:
     """Describe the first of some particles at positions (n_dim, n_particles) [m], in words."""
-    place = ", ".join(f"{coordinate:.6g}" for coordinate in position[:, particles[0]])
+    place = place_text(position[:, particles[0]], ".6g")
     more = f" (one of {particles.size})" if particles.size > 1 else ""
-    return f"particle {particles[0]} at ({place}) m{more}"
+    return f"particle {particles[0]} at {place} m{more}"
 
 
 class Domain(ABC):

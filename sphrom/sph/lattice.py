@@ -15,14 +15,10 @@ LATTICE_TOLERANCE = 1e-6
 """Largest distance of a point from the lattice, over its spacing."""
 
 
-class NotOnLatticeError(ValueError):
-    """Points are not the cell centres of a lattice that fills a box."""
-
-
 def lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, ...], Indices]:
     """Return the lattice's shape, and the indices of its points in `position`, row by row.
 
-    Raises NotOnLatticeError if positions (n_points, n_dim) [m] are not on one.
+    Raises ValueError if positions (n_points, n_dim) [m] are not on one.
     """
     n_points, n_dim = position.shape
     near_first = LATTICE_TOLERANCE * (math.prod(domain.lengths) / n_points) ** (1.0 / n_dim)
@@ -34,7 +30,7 @@ def lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, ...], Ind
     number = nearest @ np.cumprod((1, *shape[:-1]))
     is_near = np.abs(cells - nearest) < LATTICE_TOLERANCE
     if not (is_near.all() and np.array_equal(np.sort(number), np.arange(shape.prod()))):
-        raise NotOnLatticeError("points on a lattice are needed, and these are not on one")
+        raise ValueError("points on a lattice are needed, and these are not on one")
     return tuple(shape.tolist()), np.argsort(number)
 
 

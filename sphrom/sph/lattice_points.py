@@ -9,7 +9,8 @@ kernel's gradient over all neighbours are therefore zero, and c is the same for 
     V u = -2 c sum_j F V (u_j - u_i).
 
 In G an image has the q of its point, and the head (x_g - x_j) . b of a body force; in D its
-velocity is reflected; in V it is 2 U - u, with the wall's velocity U. Diffusion takes images too.
+velocity is reflected; in V it is 2 U - u, with the wall's velocity U, and beyond two walls u.
+Diffusion takes images, too.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from sphrom.kernels.wendland import LAPLACIAN_SHAPE_IN_SPACE, gradient_factor
 from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Rows, scaled
 from sphrom.sph.fluid import Discretization
-from sphrom.sph.lattice import Lattice, NotOnLatticeError, lattice_order
+from sphrom.sph.lattice import Lattice, lattice_order
 
 N_DIM = 3
 FACTOR = slice(N_DIM, N_DIM + 1)
@@ -37,13 +38,13 @@ FRICTION = slice(N_DIM + 1, N_DIM + 2)
 class LatticePoints(FixedPoints):
     """The operators of one scene at the points of a lattice, x fastest, then y.
 
-    Raises NotOnLatticeError if the points are not such a lattice.
+    Raises ValueError if the points are not such a lattice.
     """
 
     def _prepare(self, domain: Domain, discretization: Discretization, walls: Walls | None) -> None:
         shape, order = lattice_order(self.position, domain)
         if not np.array_equal(order, np.arange(len(order))):
-            raise NotOnLatticeError("points of a lattice must be in its order")
+            raise ValueError("points of a lattice must be in its order")
         pitches = np.divide(domain.lengths, shape)
         depth = math.ceil(discretization.support_radius / pitches.min() - 1e-9)
         self._lattice = Lattice(domain, shape, depth)

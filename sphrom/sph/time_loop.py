@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sphrom.arrays import Array
 from sphrom.errors import UnstableError
 from sphrom.sph.domain import Domain, first_of
+from sphrom.text import place_text
 
 if TYPE_CHECKING:
     from sphrom.sph.neighbourhood import Neighbourhood
@@ -214,8 +215,8 @@ def check_snapshot(
     good = (np.abs(fluctuation) <= DENSITY_LIMIT) & np.isfinite(snapshot.velocity).all(0)
     if not good.all():
         bad = np.flatnonzero(~good)
-        velocity = ", ".join(f"{component:.3g}" for component in snapshot.velocity[:, bad[0]])
-        text = f"(rho - rho0)/rho0 = {fluctuation[bad[0]]:.3g} and velocity ({velocity}) m/s"
+        velocity = place_text(snapshot.velocity[:, bad[0]], ".3g")
+        text = f"(rho - rho0)/rho0 = {fluctuation[bad[0]]:.3g} and velocity {velocity} m/s"
         raise _unstable(f"{first_of(bad, snapshot.position)} has {text}", step, time)
 
 
