@@ -309,6 +309,8 @@ def _draw_sides(axes: Axes, case: Case, slices: Slices, arrow: float) -> None:
     fastest = max(speeds, default=0.0)
     for (view, side, velocity), speed in zip(moving, speeds, strict=True):
         if speed:
-            way = arrow / fastest * velocity[:, VIEWS[view]]
+            # Centred, and no longer than the places are apart, no arrow leaves its slice.
+            apart = float(np.linalg.norm(side[1] - side[0]))
+            way = min(arrow, apart) / fastest * velocity[:, VIEWS[view]]
             label = f"velocity of walls, at most {fastest:.3g} m/s"
-            _draw_arrows(axes, slices.shown(view, side), way, MOVING, label)
+            _draw_arrows(axes, slices.shown(view, side) - 0.5 * way, way, MOVING, label)
