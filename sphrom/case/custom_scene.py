@@ -197,7 +197,7 @@ class CustomScene(SceneSection):
         lower = self.box.lower
         upper = self.box.upper
         if len(lower) != len(upper):
-            raise ValueError("box: lower and upper must have equally many coordinates")
+            raise ValueError("box: lower and upper must have the same number of coordinates")
         if not all(low < high for low, high in zip(lower, upper, strict=True)):
             raise ValueError("box: upper must be above lower along all axes")
         periodic = tuple(axis in self.box.periodic for axis in self.axes)

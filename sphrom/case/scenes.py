@@ -268,7 +268,7 @@ def with_defaults(values: Any, defaults: Defaults) -> Any:
 
 
 def is_in_space(scene: Any) -> bool:
-    """Return whether a scene's plain values have a box of three axes."""
+    """Return whether a scene's plain values have a three-dimensional box."""
     box = scene.get("box") if isinstance(scene, Mapping) else None
     lower = box.get("lower") if isinstance(box, Mapping) else None
     return isinstance(lower, list | tuple) and len(lower) == 3

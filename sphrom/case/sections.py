@@ -300,7 +300,7 @@ class CompareSection(Section):
     line_points: Whole = key(101, "number of points on that line", ge=2, le=100_000)
     grid: Whole = key(
         50,
-        "grid points along the longer side of the scene's box, for fields; in a box of three axes "
+        "grid points along the longer side of the scene's box, for fields; in three dimensions "
         "fewer, so that a cube has about as many as a square",
         ge=2,
         le=2_000,

@@ -1,4 +1,4 @@
-"""Checks of flows in boxes of three axes, and of keys that only flows in a plane may have."""
+"""Checks of flows in three dimensions, and of keys that are only for two."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 Found = Iterator[tuple[str, str]]
 
 NOT_IN_SPACE = ("solids", "terms", "fluid", "resistance", "porous", "inflow")
-"""Keys of flows in a plane alone."""
+"""Keys for two dimensions only."""
 
 
 def check_axes(scene: CustomScene) -> None:
     """Raise ValueError unless vectors have a component for each axis of the box.
 
-    Also if a box of three axes has keys of boxes of two.
+    Also if a three-dimensional box has keys that are only for two dimensions.
     """
     n_axes = len(scene.axes)
     if "z" in scene.box.periodic and n_axes == 2:
@@ -31,24 +31,24 @@ def check_axes(scene: CustomScene) -> None:
             raise ValueError(f"{key}: {reason}; got {len(vector)}")
     if n_axes == 2:
         if scene.initial.w != 0.0:
-            raise ValueError("initial.w: is for boxes of three axes; leave it out")
+            raise ValueError("initial.w: is for three-dimensional boxes; leave it out")
         return
     usual = type(scene).model_fields
     for key in NOT_IN_SPACE:
         if getattr(scene, key) != usual[key].default:
-            raise ValueError(f"{key}: is for flows in a plane; a box of three axes can't have it")
+            raise ValueError(f"{key}: is only supported in two dimensions; leave it out")
     if scene.slip == "free":
-        raise ValueError("slip: walls of a box of three axes have friction; set slip: none")
+        raise ValueError("slip: walls of a three-dimensional box have friction; set slip: none")
     if scene.initial.file is not None:
-        raise ValueError("initial.file: is for flows in a plane; give expressions in x, y, z")
+        raise ValueError("initial.file: is only supported in two dimensions; give expressions")
 
 
 def check_space(case: Case) -> Found:
-    """Refuse keys for flows in a plane if the box has three axes."""
+    """Refuse keys that are only supported in two dimensions if the flow has three."""
     if case.scene.domain.n_dim == 2:
         return
     section = case.discretization
-    reason = "in a box of three axes"
+    reason = "in three dimensions"
     for key, value, needed in (
         ("discretization.viscosity", section.viscosity, "laplacian"),
         ("discretization.shifting.form", section.shifting.form, "sun"),

@@ -195,7 +195,7 @@ class InitialSection(TableSection):
 
     u: Value = key(0.0, "velocity along x", unit="m/s")
     v: Value = key(0.0, "velocity along y", unit="m/s")
-    w: Value = key(0.0, "velocity along z, in a box of three axes", unit="m/s")
+    w: Value = key(0.0, "velocity along z, in three dimensions", unit="m/s")
     p: Value = key(0.0, "pressure", unit="Pa")
     file: str | None = key(
         None,

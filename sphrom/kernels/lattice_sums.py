@@ -1,4 +1,4 @@
-"""Sums over the neighbours of lattice points in a box of three axes.
+"""Sums over the neighbours of lattice points in three dimensions.
 
 All points have the same stencil of offsets, so its weights are computed once and no pairs are
 stored. Beyond the ends of an axis a neighbour is the image of a point: moved by a period, or

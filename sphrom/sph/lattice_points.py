@@ -1,4 +1,4 @@
-"""The right-hand side at the points of a lattice that fills a box of three axes.
+"""The right-hand side at the points of a lattice that fills a three-dimensional box.
 
 The terms are those of `sphrom.sph.fixed_points`. All points have the same neighbours, so there are
 no matrices: sums run over one stencil, and states are read once per sum. Fluid beyond a plane wall

@@ -171,7 +171,7 @@ class KernelGradientSum:
 
 
 class SpaceGradientSum:
-    """The same sum in a box of three axes, where walls reflect particles."""
+    """The same sum in three dimensions, where walls reflect particles."""
 
     def __init__(self, domain: Domain, discretization: Discretization) -> None:
         self._volume = discretization.particle_spacing**3

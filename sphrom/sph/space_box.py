@@ -1,4 +1,4 @@
-"""A box of three axes that fluid fills, with plane walls at the ends of some of them."""
+"""A three-dimensional box that fluid fills, with plane walls at the ends of some of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sphrom.arrays import Array, Indices, Mask
 from sphrom.sph.box_domain import MOST_UNEVEN
 from sphrom.sph.domain import SIDES, Domain, Walls, WallSearch
 
-NO_PLANE = "a box of three axes has no region in a plane"
+NO_PLANE = "a three-dimensional box has no region in a plane"
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class SpaceBox(Domain):
         return tuple(n / count for n, count in zip(self.lengths, counts, strict=True))
 
     def wall_search(self, particle_spacing: float) -> WallSearch:
-        raise NotImplementedError("walls of a box of three axes reflect particles")
+        raise NotImplementedError("walls of a three-dimensional box reflect particles")
 
     def counts(self, particle_spacing: float) -> tuple[int, ...]:
         """Return the number of particles along each axis."""

@@ -1,4 +1,4 @@
-"""The delta-plus-SPH functional f (Eq. 2.6-2.14) in a box of three axes with plane walls.
+"""The delta-plus-SPH functional f (Eq. 2.6-2.14) in three dimensions with plane walls.
 
 The full state is an array (7, n_particles) with rows x, y, z [m], density fluctuation [kg/m3] and
 u, v, w [m/s]. Beyond a wall the fluid is continued by the images of its particles, reflected at the
@@ -36,7 +36,7 @@ def at_rest(position: Array) -> Array:
 
 @dataclass(eq=False)
 class SpaceFunctional(Functional):
-    """Eq. 2.6-2.8 for one fluid in a box of three axes."""
+    """Eq. 2.6-2.8 for one fluid in three dimensions."""
 
     neighbourhood: SpaceNeighbourhood = field(init=False)
     wall_velocity: Callable[[Array], Array] = at_rest
@@ -211,7 +211,7 @@ class SpaceFunctional(Functional):
 
 
 class SpaceWallForces:
-    """The forces on some walls of a box of three axes, for states of a functional."""
+    """The forces on some walls of a three-dimensional box, for states of a functional."""
 
     def __init__(self, functional: SpaceFunctional, walls: Mapping[str, str]) -> None:
         """Measure the forces on `walls`, by the names of the measurements."""

@@ -70,7 +70,7 @@ def _images(position: Array, domain: Domain, margin: float) -> tuple[Indices, Ar
 
 
 class SpaceNeighbourhood(Neighbourhood):
-    """The sources of a set of moving particles in a box of three axes, and the search radius.
+    """The sources of a set of moving particles in three dimensions, and the search radius.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Flows of one's own in boxes of three axes: their expressions, walls and defaults."""
+"""Flows of one's own in three dimensions: their expressions, walls and defaults."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_a_box_of_three_lengths_has_defaults_of_space(load) -> None:
 
 def test_a_file_of_initial_fields_is_for_a_plane(load, tmp_path: Path) -> None:
     (tmp_path / "start.csv").write_text("x,y,u,v\n0,0,0,0\n1,0,0,0\n0,1,0,0\n")
-    with pytest.raises(CaseError, match=r"initial\.file: is for flows in a plane"):
+    with pytest.raises(CaseError, match=r"initial\.file: is only supported in two dimensions"):
         load(initial={"file": "start.csv"})
 
 

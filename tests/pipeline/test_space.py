@@ -1,4 +1,4 @@
-"""Boxes of three axes from the case to the comparison: all stages, stopped runs, measurements."""
+"""Three-dimensional runs: all stages, stopped runs, measurements."""
 
 from __future__ import annotations
 

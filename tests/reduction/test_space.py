@@ -1,4 +1,4 @@
-"""Maps, splines, modes and projected operators in boxes of three axes, on exact fields."""
+"""Maps, splines, modes and projected operators in three dimensions, on exact fields."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Flows in boxes of three axes: the Taylor-Green vortex of Brachet et al., and the driven cube."""
+"""Flows in three dimensions: the Taylor-Green vortex of Brachet et al., and the driven cube."""
 
 from __future__ import annotations
 

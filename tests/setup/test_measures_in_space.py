@@ -1,4 +1,4 @@
-"""Measurements of particles in a box of three axes: exact for quadratic fields away from walls."""
+"""Measurements of particles in three dimensions: exact for quadratic fields away from walls."""
 
 from __future__ import annotations
 

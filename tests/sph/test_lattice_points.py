@@ -1,4 +1,4 @@
-"""Operators at the points of a lattice in a box of three axes."""
+"""Operators at the points of a lattice in three dimensions."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The full model in boxes of three axes, against sums over all pairs and exact balances."""
+"""The full model in three dimensions, against sums over all pairs and exact balances."""
 
 from __future__ import annotations
 
