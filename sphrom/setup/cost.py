@@ -18,10 +18,11 @@ from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
-from sphrom.console import Reporter, StageTime
+from sphrom.console import Reporter
 from sphrom.errors import ResourceError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
+from sphrom.progress import StageTime
 from sphrom.reduction.decomposition import (
     BYTES,
     decomposition_bytes,
@@ -62,8 +63,9 @@ B_SPLINES = (0.92, 0.053)
 neighbours (80x80, lid-driven cavity) and 200 (150x150, Taylor-Green), M = 5 to 30."""
 CLOSURE = 1.1
 """The additional cost of a closure: once more the full right-hand side."""
-LOADING, PICTURES = 0.3, 3.5
-"""Times of loading a stage with runs, and of drawing the pictures of a comparison [s]."""
+LOADING, STARTING, PICTURES = 0.3, 2.5, 3.5
+"""Times of loading a stage with runs, the same in processes that start, and of drawing the pictures
+of a comparison [s]."""
 TIMED_STEPS = 60
 """Steps of each model in the timings of a comparison."""
 
@@ -193,7 +195,8 @@ def stage_times(context: StageContext) -> dict[str, StageTime]:
 
     def runs(name: str, each: dict[str, float], seconds: float) -> StageTime:
         at_once = seconds / workers
-        return StageTime(LOADING + at_once, {**each, name: at_once})
+        start = LOADING if workers == 1 else STARTING
+        return StageTime(start + at_once, {**each, name: at_once}, start, workers)
 
     full = full_seconds(case, 1)
     step = full / (steps.n_steps + steps.n_spin_up_steps)
@@ -211,12 +214,19 @@ def stage_times(context: StageContext) -> dict[str, StageTime]:
     return {
         "fom": runs("full runs", parts, n_points * full),
         "map": runs("maps", {"map": mapped}, n_points * mapped),
-        "pod": StageTime(0.1 + 2e-9 * learnt),
-        "fit-psi": StageTime(0.1),
-        "operators": StageTime(0.1 + 6e-5 * plan.n_particles * modes),
+        "pod": uncounted(0.1 + 2e-9 * learnt),
+        "fit-psi": uncounted(0.1),
+        "operators": uncounted(0.1 + 6e-5 * plan.n_particles * modes),
         "rom": runs("reduced runs", each, reduced),
-        "compare": StageTime(PICTURES + timed + compared, {**sampled, "pictures": PICTURES}),
+        "compare": StageTime(
+            PICTURES + timed + compared, {**sampled, "timings": timed, "pictures": PICTURES}
+        ),
     }
+
+
+def uncounted(seconds: float) -> StageTime:
+    """Return the time of a stage in which no progress counts anything."""
+    return StageTime(seconds, uncounted=seconds)
 
 
 def require_room(
