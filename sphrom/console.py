@@ -101,7 +101,8 @@ def _new_bars() -> Any:
             return super().get_renderables()
 
     return Bars(
-        progress.SpinnerColumn(), "{task.description}", progress.BarColumn(20), "{task.fields[beside]}",
+        progress.SpinnerColumn(), "{task.description}", progress.BarColumn(20),
+        "{task.fields[beside]}",
         console=_console(sys.stdout), redirect_stderr=sys.stderr.isatty(), transient=True,
         auto_refresh=AUTO_REFRESH, refresh_per_second=4.0,
     )  # fmt: skip
@@ -298,8 +299,8 @@ class Reporter:
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Count a stage of the whole in a block."""
-        is_part = self._whole is not None and name in self._whole.stages
-        return self._whole.stage(name) if is_part else nullcontext()
+        whole = self._whole
+        return whole.stage(name) if whole and name in whole.stages else nullcontext()
 
     @contextmanager
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:

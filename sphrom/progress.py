@@ -49,6 +49,8 @@ class StageTime:
     """The part of it that no progress counts, which runs by the clock."""
     at_once: int = 1
     """The number of items that are made at the same time."""
+    is_limit: bool = False
+    """Whether the stage may end much earlier."""
 
 
 class Progress:
@@ -130,4 +132,5 @@ class Progress:
         reached = self._reached()
         share = min(reached / self._total, MOST_SHOWN)
         left = max(LEAST_LEFT, (self._total - reached) * self._pace)
-        return self._title, share, f"{100.0 * share:3.0f} %  {duration(math.ceil(left))} left"
+        most = "at most " * self._stage.is_limit
+        return self._title, share, f"{100.0 * share:3.0f} %  {most}{duration(math.ceil(left))} left"

@@ -56,8 +56,8 @@ STAGES = {
 
 WITH_WORKERS = ("fom", "map", "rom", "trade", "extremes", "sweep", "train")
 """The stages whose runs other processes may make, by the options `workers` and `scheduler`."""
-WITH_PARTS = ("trade", "extremes", "sweep", "train", "figures")
-"""Further stages with progress. Their modules have a function `times` of their parts."""
+STUDIES = ("figures", "trade", "extremes", "sweep", "train", "import")
+"""Further stages with progress, whose times `study_times` estimates."""
 
 
 def context_of(
@@ -166,16 +166,16 @@ def _whole(
     """Show the progress of stages in all, and provide a context that reports it."""
 
     def times() -> Mapping[str, StageTime]:
-        if stages[0] in WITH_PARTS:
-            parts: Mapping[str, StageTime]
-            parts = import_module(f"sphrom.{STAGES[stages[0]]}").times(context, **asked)
-            return parts
+        if stages[0] in STUDIES:
+            from sphrom.study_times import times_of_study
+
+            return times_of_study(context, stages[0], asked)
         from sphrom.setup.cost import stage_times
 
         known = stage_times(context)
         return {stage: known[stage] for stage in stages}
 
-    if not set(stages) <= {*PIPELINE, *WITH_PARTS}:
+    if not set(stages) <= {*PIPELINE, *STUDIES}:
         yield context
         return
     with context.report.whole(times) as report:

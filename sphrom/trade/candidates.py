@@ -37,8 +37,12 @@ SIZES = (2, 5, 10, 20, 50)
 """Default numbers of modes, up to the size of the basis."""
 MOST_CLOSED_MODES = 20
 """Default limit of the modes of APG, whose cost grows with their fourth power."""
-OPERATORS = ("operators", "surface-operators")
+KINDS = ("operators", "surface-operators")
 """Kinds of artifacts that the models of a trade have of their own."""
+OPERATORS, REDUCED = "operators", "reduced models"
+"""The first and the last part of a trade; those between are the variants of the full model."""
+SAMPLE = "sample full run"
+"""Name of the progress of sampling."""
 COURANT_NUMBERS = (0.75, 1.5)
 """Approximate c0 dt / h of further full runs (Eq. 2.19)."""
 SAME_STEP = 1e-9
@@ -137,7 +141,7 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     wider = changed(case, rom=(*case.rom, *models))
     parts = ("reference_bases", "memory_models", "corrected_bases", "surface_sizes")
     if any(getattr(wider.plan, part) != getattr(case.plan, part) for part in parts):
-        return Variant(context, wider, FOLDER, only=OPERATORS).made([stages.project])
+        return Variant(context, wider, FOLDER, only=KINDS).made([stages.project])
     workspace = Variant(context, wider).workspace
     workspace.require(workspace.operators())
     return workspace
@@ -254,7 +258,7 @@ def sampled(
 ) -> Samples:
     """Sample a full run at the probes, with the measurement named `measured`."""
     report = workspace.context.report
-    text = f"sample full run, {point.label}"
+    text = f"{SAMPLE}, {point.label}"
     with StoredRun.opened(workspace, point) as run, report.progress(text, len(run.time)) as advance:
         samples = run.sampled(probes.all, advance=advance)
         return samples if measured is None else replace(samples, measured=run.measured(measured))
