@@ -46,7 +46,7 @@ class StageTime:
     items: Mapping[str, float] = field(default_factory=dict)
     """Of each progress within it, by the description up to a comma."""
     uncounted: float = 0.0
-    """The part of it that no progress counts, which runs by the clock."""
+    """The part of it before the first item that is counted, or all of it; it runs by the clock."""
     at_once: int = 1
     """The number of items that are made at the same time."""
     is_limit: bool = False
@@ -99,11 +99,10 @@ class Progress:
 
     def add(self, description: str, share: float) -> None:
         """Count a share of a progress within the stage."""
-        work = share * self._work_of(description)
-        before = (clock.now() - self._counted_at) / self._pace - work
-        uncounted = max(0.0, min(before, self._uncounted))
-        self._uncounted -= uncounted
-        self._count(min(work + uncounted, self._end - self._done))
+        if work := share * self._work_of(description):
+            before = self._uncounted
+            self._uncounted = 0.0
+            self._count(min(before + work, self._end - self._done))
 
     def _work_of(self, description: str) -> float:
         return self._stage.items.get(description.partition(",")[0], 0.0)

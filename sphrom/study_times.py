@@ -44,10 +44,10 @@ def times_of_study(
     case = context.case
     if stage == "trade":
         return _trade(context)
+    if stage == "train":
+        return _train(context, asked.get("budget"))
     if stage == "sweep":
         time = _sweep(context, asked.get("shard"))
-    elif stage == "train":
-        time = _train(context, asked.get("budget"))
     elif stage == "figures":
         seconds = PICTURE * len(case.compare.figures)
         time = StageTime(seconds, {"figures": seconds})
@@ -98,33 +98,33 @@ def _sampled_runs(context: StageContext, variant: Case, n_points: int) -> StageT
     return replace(runs, seconds=runs.seconds + n_points * sampling, items=sampled)
 
 
-def _train(context: StageContext, budget: int | None) -> StageTime:
-    """Return the time of a training that uses all of its budget."""
+def _train(context: StageContext, budget: int | None) -> dict[str, StageTime]:
+    """Return the times of a training that uses all of its budget."""
     from sphrom.case.studies import Region, fast_section
+    from sphrom.train.surrogate import FIRST, part
 
     case = context.case
     region = Region(case)
     model = fast_section(case, case.training.model)
     n_starts = len(region.starts(()))
-    n_chosen = max(0, (budget or case.training.budget) - n_starts)
+    last = max(n_starts, budget or case.training.budget)
     workers = min(context.workers or runs_that_fit(case, "fom"), n_starts)
     full = full_seconds(case, 1)
     first = runs_time("full runs", n_starts * full, workers, {"full run": full})
-    of_case = stage_times(context)
-    mapped = of_case["map"].items["map"]
-    made = sum(of_case[stage].seconds for stage in ("pod", "fit-psi", "operators"))
-    name = "" if model is None else f"error of {model.name}"
+    known = stage_times(context)
+    mapped = known["map"].items["map"]
+    made = sum(known[stage].seconds for stage in ("pod", "fit-psi", "operators"))
     estimated = ESTIMATING * FAST_RUN * len(region.candidates())
-    return StageTime(
-        first.seconds
-        + n_chosen * full
-        + (n_starts + n_chosen) * mapped
-        + (1 + n_chosen) * (made + estimated),
-        {**first.items, "map": mapped, name: estimated},
-        first.uncounted + (1 + n_chosen) * made,
-        workers,
-        is_limit=True,
-    )
+    items = {
+        **first.items,
+        "map": mapped,
+        "" if model is None else f"error of {model.name}": estimated,
+    }
+    parts = {FIRST: replace(first, seconds=first.seconds + n_starts * mapped, items=items)}
+    for number in range(n_starts, last + 1):
+        seconds = made + estimated + (full + mapped) * (number < last)
+        parts[part(number)] = StageTime(seconds, items, made, is_limit=True)
+    return parts
 
 
 def _extremes(context: StageContext, quick: bool) -> float:
