@@ -56,7 +56,7 @@ STAGES = {
 
 WITH_WORKERS = ("fom", "map", "rom", "trade", "extremes", "sweep", "train")
 """The stages whose runs other processes may make, by the options `workers` and `scheduler`."""
-STUDIES = ("figures", "trade", "extremes", "sweep", "train", "import")
+STUDIES = ("figures", "trade", "extremes", "sweep", "train", "import", "report")
 """Further stages with progress, whose times `study_times` estimates."""
 
 

@@ -14,6 +14,7 @@ from sphrom.case.models import Case
 from sphrom.progress import StageTime
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import (
+    EACH_POINT,
     FAST_RUN,
     PICTURE,
     full_seconds,
@@ -51,6 +52,9 @@ def times_of_study(
     elif stage == "figures":
         seconds = PICTURE * len(case.compare.figures)
         time = StageTime(seconds, {"figures": seconds})
+    elif stage == "report":
+        seconds = PICTURE * EACH_POINT * len(case.plan.points)
+        time = StageTime(seconds, {"pictures": seconds})
     elif stage == "import":
         seconds = SNAPSHOT * case.plan.steps.n_snapshots
         time = StageTime(seconds * len(case.plan.points), {"import": seconds})
@@ -84,6 +88,7 @@ def _trade(context: StageContext) -> dict[str, StageTime]:
             for label, variant in candidates.variants(case).items()
         },
         candidates.REDUCED: StageTime(weighed, {candidates.REDUCED: weighed}),
+        candidates.PICTURE: uncounted_time(PICTURE),
     }
 
 

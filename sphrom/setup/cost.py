@@ -63,7 +63,9 @@ B_SPLINES = (0.92, 0.053)
 neighbours (80x80, lid-driven cavity) and 200 (150x150, Taylor-Green), M = 5 to 30."""
 CLOSURE = 1.1
 """The additional cost of a closure: once more the full right-hand side."""
-LOADING, STARTING, PICTURE = 0.3, 1.3, 0.9
+EACH_POINT = 7
+"""Approximate number of all pictures of a comparison, for each parameter point."""
+LOADING, STARTING, PICTURE = 0.3, 1.3, 0.8
 """Times of loading a stage with runs, the same in processes that start, and of drawing one picture
 [s]."""
 FAST_RUN = 5e-4
@@ -244,7 +246,7 @@ def stage_times(context: StageContext) -> dict[str, StageTime]:
     sample = sampling_seconds(case)
     sampled = {f"sample {name}": sample for name in ("the full run", *each)}
     timed = TIMED_STEPS * (step + sum(each.values()) / steps.n_steps) * bool(case.rom)
-    n_pictures = {None: 4, False: 0}.get(case.compare.plots, 7 * len(plan.points))
+    n_pictures = {None: 4, False: 0}.get(case.compare.plots, EACH_POINT * len(plan.points))
     drawn = PICTURE * n_pictures
     compared = len(plan.points) * (1 + len(case.rom)) * sample
     return {

@@ -39,8 +39,8 @@ MOST_CLOSED_MODES = 20
 """Default limit of the modes of APG, whose cost grows with their fourth power."""
 KINDS = ("operators", "surface-operators")
 """Kinds of artifacts that the models of a trade have of their own."""
-OPERATORS, REDUCED = "operators", "reduced models"
-"""The first and the last part of a trade; those between are the variants of the full model."""
+OPERATORS, REDUCED, PICTURE = "operators", "reduced models", "picture"
+"""The parts of a trade; the variants of the full model come second."""
 SAMPLE = "sample full run"
 """Name of the progress of sampling."""
 COURANT_NUMBERS = (0.75, 1.5)
@@ -141,7 +141,8 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     wider = changed(case, rom=(*case.rom, *models))
     parts = ("reference_bases", "memory_models", "corrected_bases", "surface_sizes")
     if any(getattr(wider.plan, part) != getattr(case.plan, part) for part in parts):
-        return Variant(context, wider, FOLDER, only=KINDS).made([stages.project])
+        with context.report.stage(OPERATORS):
+            return Variant(context, wider, FOLDER, only=KINDS).made([stages.project])
     workspace = Variant(context, wider).workspace
     workspace.require(workspace.operators())
     return workspace

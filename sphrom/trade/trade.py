@@ -38,7 +38,7 @@ from sphrom.text import counted
 from sphrom.trade import weighing
 from sphrom.trade.candidates import (
     FOLDER,
-    OPERATORS,
+    PICTURE,
     REDUCED,
     candidates,
     first_model,
@@ -98,8 +98,7 @@ class _Trade:
         self.case = case
         points = context.chosen(trade_points(case))
         self.models = candidates(case, points, first_model(case).basis)
-        with context.report.stage(OPERATORS):
-            self.wider = prepared(context, self.models)
+        self.wider = prepared(context, self.models)
         self.probes = probes_of(case)
         self.measured = case.trade.measure
         self.oscillating = case.plan.oscillations.get(self.measured or "")
@@ -298,7 +297,8 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
         seconds=seconds,
         judged_by=measure.words,
     )
-    save(draw_trade(results), folder / "trade.png")
+    with report.stage(PICTURE):
+        save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst time, pressure "
         f"without its mean{'; in brackets the estimated error' if measure.measured else ''}; "
