@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from sphrom.case.models import Case
 from sphrom.progress import StageTime
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import (
@@ -18,11 +17,9 @@ from sphrom.setup.cost import (
     FAST_RUN,
     PICTURE,
     full_seconds,
-    operator_seconds,
     run_seconds,
     runs_that_fit,
     runs_time,
-    sampling_seconds,
     stage_times,
     uncounted_time,
 )
@@ -33,6 +30,8 @@ ESTIMATING = 5.0
 """Time of a run with its error estimate, over that of the run."""
 SNAPSHOT = 0.01
 """Time to import one snapshot [s]."""
+QUICK, ALL = 15, 60
+"""Approximate numbers of full runs for the maps of extremes."""
 
 
 def times_of_study(
@@ -43,25 +42,20 @@ def times_of_study(
     `asked` are the options of its command.
     """
     case = context.case
+    n_points = len(case.plan.points)
     if stage == "trade":
         return _trade(context)
     if stage == "train":
         return _train(context, asked.get("budget"))
     if stage == "sweep":
-        time = _sweep(context, asked.get("shard"))
-    elif stage == "figures":
-        seconds = PICTURE * len(case.compare.figures)
-        time = StageTime(seconds, {"figures": seconds})
-    elif stage == "report":
-        seconds = PICTURE * EACH_POINT * len(case.plan.points)
-        time = StageTime(seconds, {"pictures": seconds})
-    elif stage == "import":
-        seconds = SNAPSHOT * case.plan.steps.n_snapshots
-        time = StageTime(seconds * len(case.plan.points), {"import": seconds})
-    else:
-        seconds = _extremes(context, asked.get("quick", False))
-        time = StageTime(seconds, {stage: seconds})
-    return {stage: time}
+        return {stage: _sweep(context, asked.get("shard"))}
+    item, n_times, seconds = {
+        "figures": ("figures", 1, PICTURE * len(case.compare.figures)),
+        "report": ("pictures", 1, PICTURE * EACH_POINT * n_points),
+        "import": ("import", n_points, SNAPSHOT * case.plan.steps.n_snapshots),
+        "extremes": (stage, 1, full_seconds(case, QUICK if asked.get("quick") else ALL)),
+    }[stage]
+    return {stage: StageTime(n_times * seconds, {item: seconds})}
 
 
 def _sweep(context: StageContext, shard: tuple[int, int] | None) -> StageTime:
@@ -75,67 +69,48 @@ def _sweep(context: StageContext, shard: tuple[int, int] | None) -> StageTime:
 
 
 def _trade(context: StageContext) -> dict[str, StageTime]:
-    from sphrom.trade import candidates
+    from sphrom.trade.candidates import (
+        OPERATORS,
+        PICTURE_OF_ALL,
+        REDUCED,
+        candidates,
+        first_model,
+        trade_points,
+        variants,
+    )
 
     case = context.case
-    points = context.chosen(candidates.trade_points(case))
-    basis = candidates.first_model(case).basis
-    weighed = WEIGHING * len(points) * len(candidates.candidates(case, points, basis))
-    return {
-        candidates.OPERATORS: uncounted_time(operator_seconds(case)),
-        **{
-            label: _sampled_runs(context, variant, len(points))
-            for label, variant in candidates.variants(case).items()
-        },
-        candidates.REDUCED: StageTime(weighed, {candidates.REDUCED: weighed}),
-        candidates.PICTURE: uncounted_time(PICTURE),
-    }
-
-
-def _sampled_runs(context: StageContext, variant: Case, n_points: int) -> StageTime:
-    from sphrom.trade.candidates import SAMPLE
-
-    seconds = full_seconds(variant, 1)
-    workers = max(1, min(context.workers or 1, n_points))
-    runs = runs_time("full runs", n_points * seconds, workers, {"full run": seconds})
-    sampling = sampling_seconds(variant)
-    sampled = {**runs.items, SAMPLE: sampling}
-    return replace(runs, seconds=runs.seconds + n_points * sampling, items=sampled)
+    points = context.chosen(trade_points(case))
+    n_models = len(candidates(case, points, first_model(case).basis))
+    weighed = WEIGHING * len(points) * n_models
+    parts = {OPERATORS: stage_times(context)[OPERATORS]}
+    for label, variant in variants(case).items():
+        parts[label] = stage_times(replace(context, case=variant, only=points))["fom"]
+    parts[REDUCED] = StageTime(weighed, {REDUCED: weighed})
+    return parts | {PICTURE_OF_ALL: uncounted_time(PICTURE)}
 
 
 def _train(context: StageContext, budget: int | None) -> dict[str, StageTime]:
     """Return the times of a training that uses all of its budget."""
-    from sphrom.case.studies import Region, fast_section
+    from sphrom.case.studies import Region, fast_section, trained_at
     from sphrom.train.surrogate import FIRST, part
 
     case = context.case
     region = Region(case)
+    starts = region.starts(())
     model = fast_section(case, case.training.model)
-    n_starts = len(region.starts(()))
-    last = max(n_starts, budget or case.training.budget)
-    workers = min(context.workers or runs_that_fit(case, "fom"), n_starts)
-    full = full_seconds(case, 1)
-    first = runs_time("full runs", n_starts * full, workers, {"full run": full})
-    known = stage_times(context)
-    mapped = known["map"].items["map"]
-    made = sum(known[stage].seconds for stage in ("pod", "fit-psi", "operators"))
+    last = max(len(starts), budget or case.training.budget)
+    workers = context.workers or runs_that_fit(case, "fom")
+    first = replace(context, case=trained_at(case, starts), only=None, workers=workers)
+    known = stage_times(first)
     estimated = ESTIMATING * FAST_RUN * len(region.candidates())
-    items = {
-        **first.items,
-        "map": mapped,
-        "" if model is None else f"error of {model.name}": estimated,
-    }
-    parts = {FIRST: replace(first, seconds=first.seconds + n_starts * mapped, items=items)}
-    for number in range(n_starts, last + 1):
-        seconds = made + estimated + (full + mapped) * (number < last)
+    name = "" if model is None else f"error of {model.name}"
+    full, mapped = known["fom"], known["map"]
+    items = {**full.items, **mapped.items, name: estimated}
+    parts = {FIRST: replace(full, seconds=full.seconds + mapped.seconds, items=items)}
+    made = sum(known[stage].seconds for stage in ("pod", "fit-psi", "operators"))
+    one_more = items["full run"] + items["map"]
+    for number in range(len(starts), last + 1):
+        seconds = made + estimated + one_more * (number < last)
         parts[part(number)] = StageTime(seconds, items, made, is_limit=True)
     return parts
-
-
-def _extremes(context: StageContext, quick: bool) -> float:
-    """Return the time of the maps; most of it is that of full runs at other values."""
-    from sphrom.trade.extremes import FACTORS, QUICK
-
-    factors = QUICK if quick else FACTORS
-    n_runs = len(context.case.plan.parameter_names) * 2 * sum(map(len, factors.values()))
-    return n_runs * full_seconds(context.case, 1)

@@ -213,18 +213,6 @@ def uncounted_time(seconds: float) -> StageTime:
     return StageTime(seconds, uncounted=seconds)
 
 
-def sampling_seconds(case: Case) -> float:
-    """Return the approximate time to sample a stored run [s]."""
-    return 0.2 + 2e-3 * case.plan.steps.n_snapshots
-
-
-def operator_seconds(case: Case) -> float:
-    """Return the approximate time to project all operators [s]."""
-    plan = case.plan
-    modes = sum(plan.basis_size(name) for name in plan.reference_bases)
-    return 0.1 + 6e-5 * plan.n_particles * modes
-
-
 def stage_times(context: StageContext) -> dict[str, StageTime]:
     """Return the approximate times of the stages of `run`, if all of their work has to be done.
 
@@ -243,7 +231,8 @@ def stage_times(context: StageContext) -> dict[str, StageTime]:
     each = {model.name: run_seconds(case, model) for model in slow}
     reduced = sum(each[m.name] * len(context.chosen(plan.rom_points(m))) for m in slow)
     learnt = (len(plan.train_points) * steps.n_snapshots) ** 2 * plan.n_particles
-    sample = sampling_seconds(case)
+    modes = sum(plan.basis_size(name) for name in plan.reference_bases)
+    sample = 0.2 + 2e-3 * steps.n_snapshots
     sampled = {f"sample {name}": sample for name in ("the full run", *each)}
     timed = TIMED_STEPS * (step + sum(each.values()) / steps.n_steps) * bool(case.rom)
     n_pictures = {None: 4, False: 0}.get(case.compare.plots, EACH_POINT * len(plan.points))
@@ -254,7 +243,7 @@ def stage_times(context: StageContext) -> dict[str, StageTime]:
         "map": runs_time("maps", n_points * mapped, workers, {"map": mapped}),
         "pod": uncounted_time(0.1 + 2e-9 * learnt),
         "fit-psi": uncounted_time(0.1),
-        "operators": uncounted_time(operator_seconds(case)),
+        "operators": uncounted_time(0.1 + 6e-5 * plan.n_particles * modes),
         "rom": runs_time("reduced runs", reduced, workers, each),
         "compare": StageTime(
             compared + timed + drawn, {**sampled, "timings": timed, "pictures": drawn}

@@ -39,10 +39,8 @@ MOST_CLOSED_MODES = 20
 """Default limit of the modes of APG, whose cost grows with their fourth power."""
 KINDS = ("operators", "surface-operators")
 """Kinds of artifacts that the models of a trade have of their own."""
-OPERATORS, REDUCED, PICTURE = "operators", "reduced models", "picture"
+OPERATORS, REDUCED, PICTURE_OF_ALL = "operators", "reduced models", "picture"
 """The parts of a trade; the variants of the full model come second."""
-SAMPLE = "sample full run"
-"""Name of the progress of sampling."""
 COURANT_NUMBERS = (0.75, 1.5)
 """Approximate c0 dt / h of further full runs (Eq. 2.19)."""
 SAME_STEP = 1e-9
@@ -259,7 +257,7 @@ def sampled(
 ) -> Samples:
     """Sample a full run at the probes, with the measurement named `measured`."""
     report = workspace.context.report
-    text = f"{SAMPLE}, {point.label}"
+    text = f"sample full run, {point.label}"
     with StoredRun.opened(workspace, point) as run, report.progress(text, len(run.time)) as advance:
         samples = run.sampled(probes.all, advance=advance)
         return samples if measured is None else replace(samples, measured=run.measured(measured))

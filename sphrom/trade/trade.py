@@ -38,7 +38,7 @@ from sphrom.text import counted
 from sphrom.trade import weighing
 from sphrom.trade.candidates import (
     FOLDER,
-    PICTURE,
+    PICTURE_OF_ALL,
     REDUCED,
     candidates,
     first_model,
@@ -297,7 +297,7 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
         seconds=seconds,
         judged_by=measure.words,
     )
-    with report.stage(PICTURE):
+    with report.stage(PICTURE_OF_ALL):
         save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst time, pressure "
