@@ -138,6 +138,7 @@ def show_compiling() -> None:
     class Compiling(event.Listener):
         def on_start(self, event: Any) -> None:
             name = event.data["dispatcher"].py_func.__name__
+            clock.is_compiling = True
             running.append((clock.now(), ExitStack()))
             if _bars:
                 running[-1][1].enter_context(_bar(lambda: (f"compiling {name}", None, "")))
@@ -146,6 +147,7 @@ def show_compiling() -> None:
             began, shown = running.pop()
             shown.close()
             if not running:
+                clock.is_compiling = False
                 clock.lost += clock.now() - began
 
     running: list[tuple[float, ExitStack]] = []

@@ -29,7 +29,8 @@ class _Clock:
     """The time without that of compiling, which tells nothing about the time of other work."""
 
     lost: float = 0.0
-    """Time of compiling [s]."""
+    """Time of compiling until now [s]."""
+    is_compiling: bool = False
 
     def now(self) -> float:
         return time.monotonic() - self.lost
@@ -132,4 +133,5 @@ class Progress:
         share = min(reached / self._total, MOST_SHOWN)
         left = max(LEAST_LEFT, (self._total - reached) * self._pace)
         most = "at most " * self._stage.is_limit
-        return self._title, share, f"{100.0 * share:3.0f} %  {most}{duration(math.ceil(left))} left"
+        words = f"{most}{duration(math.ceil(left))} left" + " after compiling" * clock.is_compiling
+        return self._title, share, f"{100.0 * share:3.0f} %  {words}"

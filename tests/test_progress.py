@@ -94,7 +94,10 @@ def test_what_exists_is_no_work(machine):
 def test_compiling_does_not_make_the_rest_longer(machine):
     whole = whole_of(fom=StageTime(10.0, {"run": 10.0}))
     with whole.stage("fom"):
+        progress.clock.is_compiling = True
         machine.work(30.0)
+        assert whole.shown()[-1] == "  0 %  10 s left after compiling"
+        progress.clock.is_compiling = False
         progress.clock.lost += 30.0
         machine.work(5.0)
         whole.add("run", 0.5)
