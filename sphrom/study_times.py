@@ -65,7 +65,8 @@ def _sweep(context: StageContext, shard: tuple[int, int] | None) -> StageTime:
     case = context.case
     n_runs = math.ceil(len(sweep_points(case)) / (1 if shard is None else shard[1]))
     seconds = n_runs * run_seconds(case, sweep_model(case))
-    return runs_time(f"sweep {sweep_name(case)}", seconds, number_of_workers(context, n_runs))
+    workers = max(1, number_of_workers(context, n_runs))
+    return runs_time(f"sweep {sweep_name(case)}", seconds, workers)
 
 
 def _trade(context: StageContext) -> dict[str, StageTime]:
