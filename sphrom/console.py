@@ -138,19 +138,18 @@ def show_compiling() -> None:
     class Compiling(event.Listener):
         def on_start(self, event: Any) -> None:
             name = event.data["dispatcher"].py_func.__name__
-            clock.is_compiling = True
-            running.append((clock.now(), ExitStack()))
+            if not running:
+                clock.stop()
+            running.append(ExitStack())
             if _bars:
-                running[-1][1].enter_context(_bar(lambda: (f"compiling {name}", None, "")))
+                running[-1].enter_context(_bar(lambda: (f"compiling {name}", None, "")))
 
         def on_end(self, event: Any) -> None:
-            began, shown = running.pop()
-            shown.close()
+            running.pop().close()
             if not running:
-                clock.is_compiling = False
-                clock.lost += clock.now() - began
+                clock.go_on()
 
-    running: list[tuple[float, ExitStack]] = []
+    running: list[ExitStack] = []
     event.register("numba:compile", Compiling())
 
 

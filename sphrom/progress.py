@@ -30,10 +30,18 @@ class _Clock:
 
     lost: float = 0.0
     """Time of compiling until now [s]."""
-    is_compiling: bool = False
+    stopped: float | None = None
+    """When the compiling began that goes on."""
 
     def now(self) -> float:
-        return time.monotonic() - self.lost
+        return (time.monotonic() if self.stopped is None else self.stopped) - self.lost
+
+    def stop(self) -> None:
+        self.stopped = time.monotonic()
+
+    def go_on(self) -> None:
+        self.lost = time.monotonic() - self.now()
+        self.stopped = None
 
 
 clock = _Clock()
@@ -112,9 +120,12 @@ class Progress:
         if work > 0.0:
             self._most = self._reached()
             self._done += work
-            now = self._counted_at = clock.now()
-            least = PRIOR * self._total
-            self._pace = (now - self._start + least) / (self._reached() + least)
+            self._counted_at = clock.now()
+            self._pace = self._pace_at(self._reached())
+
+    def _pace_at(self, reached: float) -> float:
+        least = PRIOR * self._total
+        return (clock.now() - self._start + least) / (reached + least)
 
     def _reached(self) -> float:
         """Return the work done, with the likely part of that which is not counted yet."""
@@ -122,7 +133,7 @@ class Progress:
         likely = 0.0
         if most > 0.0:
             by_clock = (clock.now() - self._counted_at) / self._pace
-            likely = by_clock / (1.0 + (by_clock / most) ** 4) ** 0.25
+            likely = by_clock / (1.0 + (by_clock / most) ** 8) ** 0.125
         return max(self._most, self._done + likely)
 
     def shown(self) -> tuple[str, float, str]:
@@ -131,7 +142,10 @@ class Progress:
             return self._title, 0.0, ""
         reached = self._reached()
         share = min(reached / self._total, MOST_SHOWN)
-        left = max(LEAST_LEFT, (self._total - reached) * self._pace)
+        pace = max(self._pace, self._pace_at(reached))  # slower while work is overdue
+        left = max(LEAST_LEFT, (self._total - reached) * pace)
         most = "at most " * self._stage.is_limit
-        words = f"{most}{duration(math.ceil(left))} left" + " after compiling" * clock.is_compiling
+        words = f"{most}{duration(math.ceil(left))} left" + " after compiling" * (
+            clock.stopped is not None
+        )
         return self._title, share, f"{100.0 * share:3.0f} %  {words}"

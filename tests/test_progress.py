@@ -74,8 +74,8 @@ def test_what_nothing_counts_runs_by_the_clock_but_never_ends(machine):
     shares, left = zip(*seen, strict=True)
     assert list(left[:8]) == pytest.approx([110.0 - 10.0 * k for k in range(8)], rel=0.1)
     assert sorted(shares) == list(shares)
-    assert sorted(left, reverse=True) == list(left)
-    assert (shares[-1], left[-1]) == (pytest.approx(10 / 11, abs=0.01), 11.0)
+    assert shares[-1] == pytest.approx(10 / 11, abs=0.01)
+    assert left[-1] == pytest.approx(30.0, rel=0.1)  # the rest is expected to be as slow
     with whole.stage("map"):
         machine.work(1000.0)
         assert told(whole)[0] < 1.0
@@ -94,11 +94,10 @@ def test_what_exists_is_no_work(machine):
 def test_compiling_does_not_make_the_rest_longer(machine):
     whole = whole_of(fom=StageTime(10.0, {"run": 10.0}))
     with whole.stage("fom"):
-        progress.clock.is_compiling = True
+        progress.clock.stop()
         machine.work(30.0)
         assert whole.shown()[-1] == "  0 %  10 s left after compiling"
-        progress.clock.is_compiling = False
-        progress.clock.lost += 30.0
+        progress.clock.go_on()
         machine.work(5.0)
         whole.add("run", 0.5)
         assert told(whole) == (0.5, 5.0)
