@@ -1,9 +1,10 @@
-"""Write what the search page searches: the words of every section of every page.
+"""Write the texts that the search page searches: those of every section of every page.
 
-Sphinx's own index knows which pages have a word, but neither where nor how often, and its search page
+Sphinx's own index knows which pages have a word, but neither where nor how often. Its search page
 fetches other pages to show some text of them, which browsers refuse to a page that is opened from
-a folder. So `static/search.js` searches the texts that this module writes. Rows of `words.md` are the
-synonyms: a search for a word of the first cell shows the second one, and the page of its first link.
+a folder. So `static/search.js` searches the texts that this module writes. Rows of `words.md` are
+synonyms: a search for a word of the first cell shows the second one, which leads to the page of its
+first link.
 """
 
 import json
@@ -29,14 +30,16 @@ WEIGHTS = {
     "paper/": 0.3,
     "index": 0.6,
     "glossary": 0.7,
+    "gallery": 0.7,
+    "case-file": 1.5,
     "command-line": 0.8,
     "python/": 0.8,
 }
 """Of a page, or of the pages of a folder, in the order of results; 1 if it is none of these."""
 ROW = re.compile(r"^\| (?P<words>[^|]+) \| (?P<answer>[^|]+) \|$", re.MULTILINE)
 LINK = re.compile(r"\[([^\]]+)\]\(([\w/-]+)\.md(#[\w-]+)?\)")
-UNREAD = (nodes.section, nodes.title, nodes.math, nodes.math_block, nodes.raw, nodes.comment)
-"""What is no text of a section: its title and its own sections are kept apart."""
+UNREAD = (nodes.section, nodes.title, nodes.math_block, nodes.raw, nodes.comment)
+"""Left out of a section's text. Its title and its own sections are kept apart."""
 
 
 def words_of(node: nodes.Node) -> Iterator[str]:
@@ -44,6 +47,8 @@ def words_of(node: nodes.Node) -> Iterator[str]:
     for child in node.children:
         if isinstance(child, nodes.Text):
             yield child.astext()
+        elif isinstance(child, nodes.math):
+            yield "…"
         elif not isinstance(child, UNREAD):
             yield from words_of(child)
             if not isinstance(child, nodes.Inline):

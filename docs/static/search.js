@@ -116,6 +116,6 @@ document.querySelectorAll("input[name=q]").forEach(input => { input.value = aske
 if (asked) {
   const found = search(asked);
   document.getElementById("results").replaceChildren(...found);
-  document.getElementById("found").textContent = found.length ? `${found.length} pages, the best first.`
+  document.getElementById("found").textContent = found.length ? `${found.length} ${found.length > 1 ? "pages, the best first" : "page"}.`
     : "No page has these words. The glossary and the case file list the names that sphrom uses.";
 }
