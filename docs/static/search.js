@@ -38,14 +38,18 @@ function meant({word, stem}) {
 }
 
 const sum = numbers => numbers.reduce((a, b) => a + b, 0);
-const has = (phrase, terms) => terms.some(stem => phrase.includes(` ${stem} `));
+// Whether a title has a word: 1 if it has no other, and less the more others it has.
+function has(phrase, terms) {
+  return terms.some(stem => phrase.includes(` ${stem} `)) ? (1 + 1 / phrase.trim().split(" ").length) / 2 : 0;
+}
+
 
 // Rate a page for a query: rare words count more, and each further occurrence less than the one before.
 function rate(page, query) {
   const found = query.terms.map((terms, i) => {
     const count = sum(terms.map(stem => page.counts.get(stem) ?? 0));
     return query.rarity[i] * (count / (count + SATURATION) + IN_TITLE * has(page.phrase, terms)
-      + IN_HEADING * page.sections.some(section => has(section.heading, terms)));
+      + IN_HEADING * Math.max(...page.sections.map(section => has(section.heading, terms))));
   });
   const together = query.terms.length > 1 && (page.phrase.includes(query.phrase)
     || page.sections.some(section => section.heading.includes(query.phrase) || phraseOf(section.text).includes(query.phrase)));
