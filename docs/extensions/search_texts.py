@@ -55,12 +55,22 @@ def words_of(node: nodes.Node) -> Iterator[str]:
                 yield " "
 
 
-def sections_of(page: nodes.document) -> Iterator[list[str]]:
-    """Yield the title, the anchor and the text of every section of a page that isn't empty."""
+def names_of(section: nodes.section) -> Iterator[str]:
+    """Yield the names that tables of a section describe: code that is alone in a first cell."""
+    tables = (part for part in section.children if isinstance(part, nodes.table))
+    for table in tables:
+        for row in table.findall(nodes.row):
+            name = row[0].astext()
+            if [code.astext() for code in row[0].findall(nodes.literal)] == [name]:
+                yield name
+
+
+def sections_of(page: nodes.document) -> Iterator[list[Any]]:
+    """Yield the title, the anchor, the text and the described names of every section of a page."""
     for section in page.findall(nodes.section):
         title = section.next_node(nodes.title)
         text = " ".join("".join(words_of(section)).split())
-        yield [title.astext(), section["ids"][0], text]
+        yield [title.astext(), section["ids"][0], text, list(names_of(section))]
 
 
 def synonyms(path: Path) -> Iterator[dict[str, Any]]:

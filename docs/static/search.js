@@ -22,7 +22,7 @@ const phraseOf = text => ` ${wordsOf(text).map(each => each.stem).join(" ")} `;
 const pages = TEXTS.pages.map(page => ({
   ...page,
   phrase: phraseOf(page.title),
-  sections: page.sections.map(([title, anchor, text]) => ({title, anchor, text, heading: phraseOf(title), words: wordsOf(text)})),
+  sections: page.sections.map(([title, anchor, text, names]) => ({title, anchor, text, names: names.map(stemOf), heading: phraseOf(title), words: wordsOf(text)})),
 }));
 pages.forEach(page => {
   page.counts = new Map();
@@ -38,18 +38,21 @@ function meant({word, stem}) {
 }
 
 const sum = numbers => numbers.reduce((a, b) => a + b, 0);
+
 // Whether a title has a word: 1 if it has no other, and less the more others it has.
 function has(phrase, terms) {
   return terms.some(stem => phrase.includes(` ${stem} `)) ? (1 + 1 / phrase.trim().split(" ").length) / 2 : 0;
 }
 
+// Whether the title of a section has a word, or one of its tables describes it as a name.
+const isAbout = (section, terms) => Math.max(has(section.heading, terms), Number(section.names.some(stem => terms.includes(stem))));
 
 // Rate a page for a query: rare words count more, and each further occurrence less than the one before.
 function rate(page, query) {
   const found = query.terms.map((terms, i) => {
     const count = sum(terms.map(stem => page.counts.get(stem) ?? 0));
     return query.rarity[i] * (count / (count + SATURATION) + IN_TITLE * has(page.phrase, terms)
-      + IN_HEADING * Math.max(...page.sections.map(section => has(section.heading, terms))));
+      + IN_HEADING * Math.max(...page.sections.map(section => isAbout(section, terms))));
   });
   const together = query.terms.length > 1 && (page.phrase.includes(query.phrase)
     || page.sections.some(section => section.heading.includes(query.phrase) || phraseOf(section.text).includes(query.phrase)));
@@ -61,7 +64,7 @@ function bestSection(page, query) {
   const rated = page.sections.map(section => {
     const inside = query.terms.map((terms, i) => {
       const count = section.words.filter(({stem}) => terms.includes(stem)).length;
-      return query.rarity[i] * (count / (count + SATURATION) + IN_HEADING * has(section.heading, terms));
+      return query.rarity[i] * (count / (count + SATURATION) + IN_HEADING * isAbout(section, terms));
     });
     return {section, score: sum(inside)};
   });

@@ -36,7 +36,9 @@ QUERIES = {
     "free surface": "free-surfaces.html",
     "drag": "forces.html",
     "final_time": "case-file.html#time",
+    "n_modes": "case-file.html#rom",
     "Study": "python/study.html",
+    "pressure": "fast-models.html#pressure",
     "uncert": "uncertainty.html",
     "turbulence": "method.html#what-it-cant-do",
 }
