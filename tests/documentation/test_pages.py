@@ -52,7 +52,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pages")
     subprocess.run(
         [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", ROOT / "docs", folder],
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, timeout=600,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, timeout=1200,
     )  # fmt: skip
     return folder
 
