@@ -21,6 +21,7 @@ extensions = [
     "generated_pages",
     "linked_pictures",
     "self_contained",
+    "type_aliases",
 ]
 exclude_patterns = ["extensions", "README.md"]
 nitpicky = True
@@ -32,7 +33,8 @@ myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "dollarmath"
 myst_heading_anchors = 3
 
 autodoc_typehints = "signature"
-autodoc_type_aliases = {"Array": "Array"}
+# `docs/python.md` explains them.
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Measured")}
 autodoc_member_order = "bysource"
 python_maximum_signature_line_length = 88
 python_use_unqualified_type_names = True
