@@ -34,7 +34,7 @@ myst_heading_anchors = 3
 
 autodoc_typehints = "signature"
 # `docs/python.md` explains them.
-autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Measured")}
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Quantities")}
 autodoc_member_order = "bysource"
 python_maximum_signature_line_length = 88
 python_use_unqualified_type_names = True

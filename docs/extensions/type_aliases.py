@@ -12,7 +12,7 @@ from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util import inspect, logging
 
-SPELLED_OUT = re.compile(r"TypeAliasForwardRef|_Buffer|_SupportsArray|_NestedSequence|\bndarray\[")
+SPELLED_OUT = re.compile(r"TypeAliasForwardRef|_Buffer|_SupportsArray|_NestedSequence|ndarray\[")
 
 
 def check(app: Sphinx, page: nodes.document) -> None:
