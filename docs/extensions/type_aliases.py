@@ -28,6 +28,6 @@ def check(app: Sphinx, page: nodes.document) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Print placeholders as aliases, and check signatures as pages are read."""
-    inspect.TypeAliasForwardRef.__repr__ = lambda alias: alias.name  # type: ignore[method-assign]
+    inspect.TypeAliasForwardRef.__repr__ = lambda alias: alias.name
     app.connect("doctree-read", check)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
