@@ -14,6 +14,7 @@ from sphrom.compare.comparison_tables import SpectrumRow
 from sphrom.metrics.grids import Slices
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.models.contract import basis_used
+from sphrom.plots.arrangement import FLAT
 from sphrom.plots.frames import Frame
 from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.setup.draw import solids_within
@@ -28,8 +29,8 @@ SPACES = {
 }
 """Spaces of modes, with the groups of their modes and points in the artifact of the bases."""
 COMPONENTS = {"x-velocity": 0, "y-velocity": 1, "z-velocity": 2}
-MOST_MODES = 10
-"""Most pictures of modes in a row."""
+MOST_MODES = 6
+"""Most pictures of modes of a field."""
 SMALLEST_RATIO, SMALLEST_SHARE = 1e-12, 1e-10
 """Singular values over the first, and omitted shares [%], below which they are rounding errors."""
 SPECTRUM = ("singular value, relative to the first [–]", "later singular values, of the sum [%]")
@@ -142,4 +143,7 @@ def draw_modes(workspace: Workspace, basis: str) -> Figure:
     for field in ("density", *list(COMPONENTS)[:n_dim]):
         spaces = mode_fields(workspace, basis, field, numbers)
         rows.append(list(chain.from_iterable(spaces.values())))
-    return draw_grid(rows, frame_of(workspace.case))
+    frame = frame_of(workspace.case)
+    if frame.aspect < FLAT:
+        rows = [list(column) for column in zip(*rows, strict=True)]
+    return draw_grid(rows, frame)

@@ -30,6 +30,7 @@ from sphrom.metrics.measures import Samples
 from sphrom.metrics.quantities import components, unit_of
 from sphrom.models.contract import BEST, Ability, family_of
 from sphrom.models.stored_run import StoredRun
+from sphrom.plots.arrangement import FLAT
 from sphrom.plots.frames import Frame
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
@@ -51,8 +52,9 @@ LABELS = {
 QUANTITIES = ("speed", "pressure")
 PLOTS = "plots"
 """Folder of the figures, beside the artifacts."""
-FLAT = 0.4
-"""Height over width below which pictures are placed below each other."""
+LONG, TALL = 0.15, 1.4
+"""Height over width of pictures below which each has a row, and above which curves are beside
+them."""
 ERRORS = (
     {
         "velocity_field_relative_l2": "velocity, field: relative L2 [%]",
@@ -237,10 +239,10 @@ class _PointFigures(RunFigures):
         return side_by_side(model.name, quantity, full, pictures[model.name][quantity])
 
     def _fields(self) -> Figure:
-        rows = [
-            [field for quantity in QUANTITIES for field in self._beside(model, quantity)]
-            for model in self.complete
-        ]
+        rows = []
+        for model in self.complete:
+            fields = [self._beside(model, quantity) for quantity in QUANTITIES]
+            rows += fields if self.frame.aspect < FLAT else [[*fields[0], *fields[1]]]
         return draw_grid(rows, self.frame, scales=self._scales, title=self.when)
 
     def _overview(self) -> Figure:
@@ -248,11 +250,16 @@ class _PointFigures(RunFigures):
         complete = {m.name: self.errors[m.name] for m in self.complete}
         label = "velocity, field, over time: relative L2 [%]"
         errors = self._error_panel("velocity_field_relative_l2", label, complete)
-        fields = self._beside(fastest, "speed")
-        extent = self.frame.extent
-        flat = np.ptp(extent[2:]) < FLAT * np.ptp(extent[:2])
-        rows = [[field] for field in fields] if flat else [fields]
-        return draw_grid(rows, self.frame, scales=self._scales, title=self.when, beside=errors)
+        full, reduced, difference = self._beside(fastest, "speed")
+        aspect = self.frame.aspect
+        rows: list[list[Field | Panel]] = [[full, reduced, difference], [errors]]
+        if aspect > TALL:
+            rows = [[full, reduced, difference, errors]]
+        elif aspect < LONG:
+            rows = [[full], [reduced], [difference], [errors]]
+        elif aspect < FLAT:
+            rows = [[full, reduced], [difference, errors]]
+        return draw_grid(rows, self.frame, scales=self._scales, title=self.when)
 
     def _centrelines(self) -> Figure:
         rows = [(tuple(self.complete), (self.point,))]
