@@ -20,7 +20,7 @@ WIDEST = 9.6
 """Width of a figure, of which a page 7.7 inches wide shows the smallest type in 6 points."""
 FLAT = 0.7
 """Height over width of pictures below which they are better placed in fewer columns."""
-LARGEST, TALLEST, LEAST_PICTURE = 10.0, 4.5, 0.9
+LARGEST, TALLEST, LEAST_PICTURE = 10.0, 6.0, 0.9
 """Largest area [square inch] and height of a picture, and its least width."""
 CURVES, ALONE = 3.4, 5.5
 """Width of a column of curves beside pictures, and the largest one without pictures."""
@@ -28,11 +28,11 @@ PROPORTION, LEAST, MOST = 0.72, 1.7, 2.4
 """Height of curves over their width, and its limits."""
 LINE, LETTER = 0.17, 0.068
 """Height of a line of type, and the width of a letter."""
-EDGE, BETWEEN, GAP, OVER_LAST = 0.08, 0.3, 0.06, 0.15
+EDGE, BETWEEN, GAP, OVER_LAST = 0.08, 0.36, 0.06, 0.15
 """Space at edges, between columns, between rows, and for half of the last number of an axis."""
 NUMBERS = 0.23
 """Height of the marks and numbers of an axis, without its label."""
-BAR, THICKNESS, BAR_SHARE = 0.6, 0.11, 0.8
+BAR, THICKNESS, BAR_SHARE = 0.6, 0.11, 0.9
 """Height of a colour bar with its numbers and label, its own, and its width over that of panels."""
 FIRST_GUESS = 0.6
 """Width of labels before they are measured."""
