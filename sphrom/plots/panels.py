@@ -117,8 +117,8 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
 Range = tuple[float, float]
 Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
-X_TICKS, AN_INCH = 4, 1.5
-"""Most numbers along a picture, and per inch."""
+MOST_TICKS, AN_INCH = 5, 1.5
+"""Most numbers along an axis, and per inch of a picture."""
 HANDLE = 0.6
 """Approximate width of a handle of a legend with its margins [inch]."""
 BEYOND = 2.0
@@ -282,7 +282,9 @@ def _draw_pictures(
             axes = cell.axes
             image = _show(axes, frame, field.values, colours, scale)
             if frame.slices is None:
-                axes.locator_params(axis="x", nbins=max(1, min(X_TICKS, int(AN_INCH * width))))
+                for axis, length in (("x", width), ("y", width * frame.aspect)):
+                    number = max(1, min(MOST_TICKS, int(AN_INCH * length)))
+                    axes.locator_params(axis=axis, nbins=number)
             else:
                 axes.set_xticks(*frame.slices.ticks(0))
                 axes.set_yticks(*frame.slices.ticks(1))
@@ -356,7 +358,7 @@ def _draw_bar(
     bar = figure.colorbar(image, cax=axes, orientation="horizontal", extend=extended)
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-2, 4))
-    bar.locator = MaxNLocator(1 + min(X_TICKS + 2, int(AN_INCH * width)))
+    bar.locator = MaxNLocator(1 + min(MOST_TICKS, int(AN_INCH * width)))
     bar.formatter = numbers
     bar.update_ticks()
     numbers.format_ticks(list(bar.get_ticks()))
@@ -393,6 +395,7 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True)
     axes.margins(x=0.01)
+    axes.locator_params(axis="y", nbins=MOST_TICKS + 1)
     if all(np.issubdtype(curve.x.dtype, np.integer) for curve in panel.curves):
         axes.locator_params(axis="x", integer=True)
     if "log" in panel.axes:
