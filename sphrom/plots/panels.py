@@ -282,9 +282,8 @@ def _draw_pictures(
             axes = cell.axes
             image = _show(axes, frame, field.values, colours, scale)
             if frame.slices is None:
-                for axis, length in (("x", width), ("y", width * frame.aspect)):
-                    number = max(1, min(MOST_TICKS, int(AN_INCH * length)))
-                    axes.locator_params(axis=axis, nbins=number)
+                axes.locator_params(axis="x", nbins=_n_ticks(width))
+                axes.locator_params(axis="y", nbins=_n_ticks(width * frame.aspect))
             else:
                 axes.set_xticks(*frame.slices.ticks(0))
                 axes.set_yticks(*frame.slices.ticks(1))
@@ -346,6 +345,11 @@ def _continued(field: Array) -> Array:
     return field[rows, columns]
 
 
+def _n_ticks(length: float) -> int:
+    """Return the number of intervals between ticks along a length [inch]."""
+    return max(1, min(MOST_TICKS, int(AN_INCH * length)))
+
+
 def _draw_bar(
     figure: Figure, image: Any, axes: Axes, label: str, width: float, extended: Any
 ) -> None:
@@ -358,7 +362,7 @@ def _draw_bar(
     bar = figure.colorbar(image, cax=axes, orientation="horizontal", extend=extended)
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-2, 4))
-    bar.locator = MaxNLocator(1 + min(MOST_TICKS, int(AN_INCH * width)))
+    bar.locator = MaxNLocator(1 + _n_ticks(width))
     bar.formatter = numbers
     bar.update_ticks()
     numbers.format_ticks(list(bar.get_ticks()))
