@@ -3,7 +3,8 @@
 All start from the same packed particles, with the same kernel and support, and run on one thread.
 sphrom takes the steps of `time.step: auto`; peers take theirs (`peer_vortices.py`). Times are those
 of all steps, without start, compilation and output. The error is that of the velocity of particles
-at the end. Installs peers into environments of their own. Prints a table, and writes JSON and a plot.
+at the end. Installs peers into environments of their own. Prints a table; writes JSON and a
+plot.
 
     python scripts/bench_errors.py --figure docs/figures/error-over-time.png
 """

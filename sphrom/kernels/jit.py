@@ -70,12 +70,12 @@ def like(number: float, other: float) -> float:
     return type(other)(number)
 
 
-@overload(like)  # type: ignore[untyped-decorator]
-def _compiled_like(number: Any, other: Any) -> Callable[[float, float], float]:
+@overload(like)
+def _compiled_like(number: Any, other: Any) -> Any:
     """Return the implementation of `like` for numbers of two types."""
     precision = np.float32 if other == numba.float32 else np.float64
 
-    def convert(number: float, other: float) -> float:
+    def convert(number: Any, other: Any) -> Any:
         return precision(number)
 
     return convert

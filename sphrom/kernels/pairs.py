@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from sphrom.kernels.fields import FluidConstants, RegularityConstants
 from sphrom.kernels.jit import inlined, like, term
 from sphrom.kernels.vectors import Vector, dot, times
 from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 
+HALF = np.float32(0.5)
+"""It makes no double of a number in single precision, and is as exact in doubles."""
 TINY = 1e-30
 """Guards 0/0 of a particle with itself, relative to h^2; far below rounding for other pairs."""
 
@@ -56,7 +60,7 @@ def density_exchange(jump: float, carried: float, slope: float, fluid: FluidCons
     `carried` is the shifting velocity times the offset, `slope` the sum of both renormalised
     gradients of the density times the offset.
     """
-    return jump * carried - fluid.diffusion * (jump + like(0.5, slope) * slope)
+    return jump * carried - fluid.diffusion * (jump + HALF * slope)
 
 
 @inlined
