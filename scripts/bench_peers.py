@@ -1,8 +1,9 @@
 """The full model beside PySPH: one right-hand side of the same flow, particles and support.
 
 Installs PySPH from the package registry into an environment of its own (it compiles its sums with a
-C++ compiler, which has to be there), and times right-hand sides of both on one thread, in turns.
-A pair is a particle and another one within its kernel's support. Prints a table and writes JSON.
+C++ compiler, which has to be there), and takes the processor time of right-hand sides of both on
+one thread, in turns. A pair is a particle and another one within its kernel's support. Prints a
+table and writes JSON.
 
     python scripts/bench_peers.py --environment /tmp/pysph
 """
@@ -82,9 +83,9 @@ def time_ours(functional: Functional, state: np.ndarray, repeats: int, rebuild: 
     for _ in range(repeats):
         if rebuild:
             functional.neighbourhood.forget()
-        started = time.perf_counter()
+        started = time.process_time()
         functional(state)
-        taken.append(time.perf_counter() - started)
+        taken.append(time.process_time() - started)
     return float(np.median(taken))
 
 
