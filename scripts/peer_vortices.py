@@ -66,6 +66,7 @@ def run_pysph(name: str, state: dict[str, np.ndarray]) -> dict[str, object]:
     )
     nearest = LinkedListNNPS(2, [fluid], radius_scale=kernel.radius_scale, domain=box)
     solver.set_disable_output(True)
+    solver.set_parallel_manager(None)
     solver.setup([fluid], scheme.get_equations(), nearest, kernel=kernel)
     started = time.process_time()
     solver.solve(show_progress=False)
