@@ -8,6 +8,7 @@ is needed. A particle and itself have no offset.
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from sphrom.kernels.jit import inlined, like, term
 from sphrom.kernels.vectors import Vector, dot, times
 from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 
-HALF = np.float32(0.5)
+HALF = cast(float, np.float32(0.5))
 """It makes no double of a number in single precision, and is as exact in doubles."""
 TINY = 1e-30
 """Guards 0/0 of a particle with itself, relative to h^2; far below rounding for other pairs."""
