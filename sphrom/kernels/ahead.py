@@ -30,18 +30,18 @@ STACK = float64[:, :, ::1]
 INDICES = int64[::1]
 
 
-def _record(kind: type, *fields: Any) -> BaseTuple:
+def _record(kind: type, fields: tuple[Any, ...]) -> BaseTuple:
     return BaseTuple.from_types(fields, kind)
 
 
 COUNTS = (int64,) * 3
 SCALARS = (float64,) * 4 + (int64,) * 2
-GRID = _record(Grid, *SCALARS)
-SEARCH = _record(Search, *SCALARS, INDICES, float64, float64)
-BLOCKS = _record(Blocks, INDICES, INDICES, INDICES, STACK)
-FLUID = _record(FluidConstants, *(float64,) * 6)
-SHIFTING = _record(RegularityConstants, *(float64,) * 7)
-POLYHARMONIC = _record(Systems, TABLE, INDICES, TABLE, STACK)
+GRID = _record(Grid, SCALARS)
+SEARCH = _record(Search, (*SCALARS, INDICES, float64, float64))
+BLOCKS = _record(Blocks, (INDICES, INDICES, INDICES, STACK))
+FLUID = _record(FluidConstants, (float64,) * 6)
+SHIFTING = _record(RegularityConstants, (float64,) * 7)
+POLYHARMONIC = _record(Systems, (TABLE, INDICES, TABLE, STACK))
 CELLS = LINE, LINE, INDICES, INDICES, GRID, float64, int64, int64, POLYHARMONIC, STACK
 KERNELS: tuple[tuple[Any, tuple[Any, ...]], ...] = (
     (rates, (BLOCKS, SEARCH, TABLE, TABLE, FLUID, TABLE)),
