@@ -115,7 +115,7 @@ def test_code_that_another_process_compiles_is_waited_for(tmp_path: Path, monkey
         found.claim("some")
         assert time.monotonic() - started >= 0.2
         other.kill()
-        other.wait()
+        other.wait(30.0)
         monkeypatch.setattr(code_cache, "PATIENCE", 60.0)
         found.claim("some")  # a claim ends with its process
     assert time.monotonic() - started < 30.0
