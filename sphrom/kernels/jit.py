@@ -20,6 +20,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -37,7 +38,7 @@ from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 from numba.extending import overload
 
-from sphrom.kernels import asked_for
+from sphrom.kernels import asked_for, when_compiling
 from sphrom.kernels.code_cache import CodeCache, CompilingWarning, find_cache
 from sphrom.machine import compiling
 
@@ -45,13 +46,15 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 # Contraction and reassociation let loops vectorise; NaN and infinities keep their meaning.
 FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
+# No function is called through a C pointer, and the code for such calls takes time to compile.
+SETTINGS = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 LIBRARIES = ("numba", "llvmlite", "numpy")
 """Libraries on which compiled code depends."""
 
 
 def term(function: Function) -> Function:
     """Compile a small function that is called from loops."""
-    return _kept(numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True)(function))
+    return _kept(numba.njit(fastmath=FAST_MATH, **SETTINGS)(function))
 
 
 def inlined(function: Function) -> Function:
@@ -59,9 +62,7 @@ def inlined(function: Function) -> Function:
 
     Its products are then ordered together with theirs. It may take functions and return views.
     """
-    compiled: Function = numba.njit(
-        fastmath=FAST_MATH, error_model="numpy", nogil=True, inline="always"
-    )(function)
+    compiled: Function = numba.njit(fastmath=FAST_MATH, inline="always", **SETTINGS)(function)
     return compiled
 
 
@@ -83,14 +84,12 @@ def _compiled_like(number: Any, other: Any) -> Any:
 
 def parallel(function: Function) -> Function:
     """Compile a loop over particles; its `numba.prange` is divided among threads."""
-    return _kept(
-        numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True, parallel=True)(function)
-    )
+    return _kept(numba.njit(fastmath=FAST_MATH, parallel=True, **SETTINGS)(function))
 
 
 def serial(function: Function) -> Function:
     """Compile a loop for one thread, with the order and the arithmetic of its source."""
-    return _kept(numba.njit(error_model="numpy", nogil=True)(function))
+    return _kept(numba.njit(**SETTINGS)(function))
 
 
 def set_threads(count: int | None) -> int:
@@ -159,10 +158,15 @@ class _KeptCode(NullCache):
         # Loaded code needs only the memory management of arrays. The whole target, for example the
         # compilation rules of all numpy functions, takes longer to load than many commands take.
         rtsys.initialize(target_context)
-        content = code_cache().read(self._file(signature, target_context.codegen()))
+        file = self._file(signature, target_context.codegen())
+        content = code_cache().read(file)
         if content is None:
             _tell_of_compiling()
-            return None
+            code_cache().claim(file)
+            content = code_cache().read(file)  # another process may have stored it meanwhile
+            if content is None:
+                return None
+            code_cache().release(file)
         return CompileResult._rebuild(target_context, *pickle.loads(content))
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
@@ -170,11 +174,10 @@ class _KeptCode(NullCache):
 
         A signal that arrives while LLVM returns the object code only prevents the storing.
         """
-        try:
-            content = dumps(compiled._reduce())
-        except RuntimeError:
-            return
-        code_cache().write(self._file(signature, compiled.codegen), content)
+        file = self._file(signature, compiled.codegen)
+        with suppress(RuntimeError):
+            code_cache().write(file, dumps(compiled._reduce()))
+        code_cache().release(file)
 
     def _file(self, signature: Any, codegen: Any) -> str:
         made_for = hashlib.sha256(repr((signature, codegen.magic_tuple())).encode())
@@ -184,6 +187,8 @@ class _KeptCode(NullCache):
 @lru_cache(maxsize=1)
 def _tell_of_compiling() -> None:
     if code_cache().writable:
+        for call in when_compiling:
+            call()
         text = "compiling kernels, once on this machine: each takes some seconds, and is kept"
         warnings.warn(text, CompilingWarning, stacklevel=1)
 
