@@ -16,10 +16,10 @@ those of the velocity. Like the rates, b is quadratic in a and affine in factors
 
 The remaining error is known in training runs. It may be added: by ridge regression on a
 (`sphrom.reduction.calibration`), or interpolated between the runs (`sphrom.reduction.correction`).
-`CANDIDATES` lists the combinations. Errors in training runs decide which of them a model uses: e with
-the fits to all runs, and h where a run is held out from the modes psi and from all fits. Parameters
-between training runs are nearer to these than held-out runs are to the others, by the factor s
-(`NEARER`). The expected squared error there is (1 - s^2) e^2 + s^2 h^2.
+`CANDIDATES` lists the combinations. Errors in training runs decide which of them a model uses: e
+with the fits to all runs, and h where a run is held out from the modes psi and from all fits.
+Parameters between training runs are nearer to these than held-out runs are to the others, by the
+factor s (`NEARER`). The expected squared error there is (1 - s^2) e^2 + s^2 h^2.
 """
 
 from __future__ import annotations
