@@ -138,8 +138,11 @@ def test_held_out_runs_choose_what_gives_their_pressure(settings, smooth, truth:
     for k, run in runs.items():  # the coordinates in the run that was left out
         missed = space.coordinates[k] - run.coordinates @ space.joint - added[k]
         share = np.linalg.norm(missed) / np.sqrt(space.squares[k].sum())
-        # Nothing is missed in the run if it is known.
-        assert errors[CANDIDATES.index(truth), k] == pytest.approx(NEARER * share, abs=1e-2)
+        found = errors[CANDIDATES.index(truth), k]
+        if truth.endswith("ridge"):  # it also misses a part of runs that are known
+            assert found >= NEARER * share
+        else:
+            assert found == pytest.approx(NEARER * share, abs=1e-7)
 
 
 def test_some_modes_have_the_balance_of_all_with_the_others_zero(settings, smooth) -> None:
