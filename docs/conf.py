@@ -20,9 +20,12 @@ extensions = [
     "formulas",
     "generated_pages",
     "linked_pictures",
+    "search_texts",
     "self_contained",
+    "sidebar_groups",
 ]
-exclude_patterns = ["extensions", "README.md"]
+exclude_patterns = ["extensions", "templates", "README.md"]
+templates_path = ["templates"]
 nitpicky = True
 # The documentation of other packages would have to be fetched; of sphrom only the API is public.
 nitpick_ignore_regex = [("py:.*", r"(?!sphrom\.api).*"), ("py:.*", r".*\._.*")]
@@ -39,6 +42,7 @@ python_use_unqualified_type_names = True
 
 html_theme = "furo"
 html_title = f"sphrom {release}"
+html_logo = "static/logo.svg"
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
 html_show_sphinx = False

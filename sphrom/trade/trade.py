@@ -38,6 +38,8 @@ from sphrom.text import counted
 from sphrom.trade import weighing
 from sphrom.trade.candidates import (
     FOLDER,
+    PICTURE_OF_ALL,
+    REDUCED,
     candidates,
     first_model,
     make_runs,
@@ -134,8 +136,9 @@ class _Trade:
             online_seconds=full_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
+        report = self.workspace.context.report
         found = [self._full(label, other) for label, other in variants(self.case).items()]
-        with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
+        with report.stage(REDUCED), report.progress(REDUCED, len(self.models)) as advance:
             for section in self.models:
                 found.append(self._reduced(section, full_seconds))
                 advance(1)
@@ -149,20 +152,21 @@ class _Trade:
         return Results(rows, without, [run for _, runs in found for run in runs], measure)
 
     def _full(self, label: str, variant: Case) -> Rows:
-        made = variant_of(self.workspace.context, variant)
-        unstable = make_runs(made, label, list(self.full))
-        workspace = made.workspace
-        step = variant.plan.steps.time_step
-        described = {
-            "model": label,
-            "role": "full",
-            "time_step": step,
-            "seconds": None if unstable else self._full_seconds(workspace, step),
-        }
-        runs = []
-        for point in self.full:
-            samples = None if point in unstable else self._sampled(workspace, point)
-            runs.append(self._row(point, samples, **described))
+        with self.workspace.context.report.stage(label):
+            made = variant_of(self.workspace.context, variant)
+            unstable = make_runs(made, label, list(self.full))
+            workspace = made.workspace
+            step = variant.plan.steps.time_step
+            described = {
+                "model": label,
+                "role": "full",
+                "time_step": step,
+                "seconds": None if unstable else self._full_seconds(workspace, step),
+            }
+            runs = []
+            for point in self.full:
+                samples = None if point in unstable else self._sampled(workspace, point)
+                runs.append(self._row(point, samples, **described))
         resolution = variant.discretization.resolution
         return weighing.ModelRow.of(runs, family="full", kind="full", resolution=resolution), runs
 
@@ -293,7 +297,8 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
         seconds=seconds,
         judged_by=measure.words,
     )
-    save(draw_trade(results), folder / "trade.png")
+    with report.stage(PICTURE_OF_ALL):
+        save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst time, pressure "
         f"without its mean{'; in brackets the estimated error' if measure.measured else ''}; "
