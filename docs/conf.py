@@ -23,6 +23,7 @@ extensions = [
     "search_texts",
     "self_contained",
     "sidebar_groups",
+    "type_aliases",
 ]
 exclude_patterns = ["extensions", "templates", "README.md"]
 templates_path = ["templates"]
@@ -35,7 +36,8 @@ myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "dollarmath"
 myst_heading_anchors = 3
 
 autodoc_typehints = "signature"
-autodoc_type_aliases = {"Array": "Array"}
+# `docs/python.md` explains them.
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Quantities")}
 autodoc_member_order = "bysource"
 python_maximum_signature_line_length = 88
 python_use_unqualified_type_names = True

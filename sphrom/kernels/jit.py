@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
 from llvmlite.binding import Linkage
 from numba.core import event
 from numba.core.caching import NullCache
@@ -34,6 +35,7 @@ from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+from numba.extending import overload
 
 from sphrom.kernels import asked_for
 from sphrom.kernels.code_cache import CodeCache, CompilingWarning, find_cache
@@ -61,6 +63,22 @@ def inlined(function: Function) -> Function:
         fastmath=FAST_MATH, error_model="numpy", nogil=True, inline="always"
     )(function)
     return compiled
+
+
+def like(number: float, other: float) -> float:
+    """Return a number in the precision of another one."""
+    return type(other)(number)
+
+
+@overload(like)
+def _compiled_like(number: Any, other: Any) -> Any:
+    """Return the implementation of `like` for numbers of two types."""
+    precision = np.float32 if other == numba.float32 else np.float64
+
+    def convert(number: Any, other: Any) -> Any:
+        return precision(number)
+
+    return convert
 
 
 def parallel(function: Function) -> Function:

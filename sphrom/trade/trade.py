@@ -60,6 +60,8 @@ MARGIN = 0.2
 """Margin around points for their names, over the axes."""
 APART = (0.2, 0.05)
 """Least distance between the names of points, horizontal or vertical, over the axes."""
+RIGHT = 0.7
+"""Place over the axes from which on names are on the left of their points."""
 ON_FRONT = "*"
 """Mark of an error that no model reaches in less time."""
 HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")
@@ -399,7 +401,10 @@ def draw_trade(results: Results) -> Figure:
                 last = at
                 name = row.model.removeprefix(f"{row.family}, ")
                 where: Any = {"textcoords": "offset points", "fontsize": 7.5}
-                axes.annotate(name, (seconds, error), (4, 4), **where)
+                # Names on the right would reach beyond the axes.
+                side = "right" if at[0] > RIGHT else "left"
+                offset = (-4 if at[0] > RIGHT else 4, 4)
+                axes.annotate(name, (seconds, error), offset, ha=side, **where)
     return figure
 
 
