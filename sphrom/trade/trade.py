@@ -159,12 +159,8 @@ class _Trade:
             unstable = make_runs(made, label, list(self.full))
             workspace = made.workspace
             step = variant.plan.steps.time_step
-            described = {
-                "model": label,
-                "role": "full",
-                "time_step": step,
-                "seconds": None if unstable else self._full_seconds(workspace, step),
-            }
+            seconds = None if unstable else self._full_seconds(workspace, step)
+            described = {"model": label, "role": "full", "time_step": step, "seconds": seconds}
             runs = []
             for point in self.full:
                 samples = None if point in unstable else self._sampled(workspace, point)
@@ -401,10 +397,8 @@ def draw_trade(results: Results) -> Figure:
                 last = at
                 name = row.model.removeprefix(f"{row.family}, ")
                 where: Any = {"textcoords": "offset points", "fontsize": 7.5}
-                # Names on the right would reach beyond the axes.
-                side = "right" if at[0] > RIGHT else "left"
-                offset = (-4 if at[0] > RIGHT else 4, 4)
-                axes.annotate(name, (seconds, error), offset, ha=side, **where)
+                way, side = (-1, "right") if at[0] > RIGHT else (1, "left")
+                axes.annotate(name, (seconds, error), (4 * way, 4), ha=side, **where)
     return figure
 
 
