@@ -174,8 +174,14 @@ def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
                 f"sound; set fluid.reference_speed: {speed:.3g}, or lower it",
             )
     pressure = np.abs(driving.initial(samples)[:, -1]).max()
-    if pressure > LARGEST_CHANGE * fluid.reference_density * sound_speed**2:
-        yield "initial.p", f"{pressure:.3g} Pa changes the density by more than 10 %"
+    density = fluid.reference_density
+    if pressure > LARGEST_CHANGE * density * sound_speed**2:
+        yield (
+            "initial.p",
+            f"{pressure:.3g} Pa changes the density by more than 10 % at {density:g} kg/m3 and a "
+            f"speed of sound of {sound_speed:.3g} m/s; check fluid.reference_density, or raise "
+            "fluid.reference_speed",
+        )
     speed, wall = _through_wall(driving)
     if speed > THROUGH_WALL * sound_speed:
         yield (

@@ -71,7 +71,8 @@ def check_geometry(case: Case) -> Found:
         pitch = domain.pitches(plan.particle_spacing)[1] if fits else wanted
         if (end := domain.row_end(level, pitch)) != level:
             reason = f"rows of particles {pitch:g} m apart don't end at {level:g} m"
-            yield "scene.fluid.level", f"{reason}; they do at {end:g} m"
+            remedy = f"they do at {end:g} m, and elsewhere with another discretization.resolution"
+            yield "scene.fluid.level", f"{reason}; {remedy}"
     if case.scene.has_surface and not plan.n_particles:
         yield "scene.fluid", "no particle is in it; raise discretization.resolution"
     if case.scene.has_surface and section.shifting.enabled:

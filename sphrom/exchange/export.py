@@ -326,7 +326,9 @@ def _write_models(
         n_written += 1
     if n_refused > 0 and n_written == 0:
         raise CaseError(
-            "export: none of the case's models can be exported as such a file; the warnings say why"
+            "export: none of the case's models can be exported as such a file; the warnings say "
+            "why. A model's own file, model-NAME.h5, can be handed on in any case: sphrom.load "
+            "reads it"
         )
     return n_written
 

@@ -47,7 +47,7 @@ class ImportOptions:
         str | None,
         _option(
             "A,B",
-            "Two fields, or three in space, or components such as points.x,points.y.  "
+            "Two fields, or three in space, or components of a vector such as pos.x,pos.y.  "
             "[default: x,y, or x,y,z]",
         ),
     ] = None

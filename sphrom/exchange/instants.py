@@ -58,7 +58,8 @@ def find_sources(files: Sequence[Path], options: ImportOptions) -> list[Source]:
         if (time := source.time - options.start) >= -rounding
     ]
     if len(sources) < 2:
-        raise CaseError(f"--start: leaves {counted(len(sources), 'snapshot')}; name more files")
+        found = f"the files have {counted(len(sources), 'snapshot')} from {options.start:g} on"
+        raise CaseError(f"--start: {found}, and a run needs two; name more files")
     if sources[0].time > TIME_TOLERANCE * interval(sources):
         start = float(f"{options.start + sources[0].time / scale:.12g}")
         raise CaseError(
