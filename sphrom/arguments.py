@@ -101,7 +101,10 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        bound = known.bind(*args, **kwargs)
+        try:
+            bound = known.bind(*args, **kwargs)
+        except TypeError as error:
+            raise TypeError(f"{function.__qualname__}: {error}") from None
         for name, value in bound.arguments.items():
             if name == "options":
                 value = {option: valid(option, given) for option, given in value.items()}

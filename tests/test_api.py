@@ -309,6 +309,11 @@ def test_what_is_refused(study, call, text):
     assert text in str(refused.value)
 
 
+def test_an_unknown_argument_is_refused_with_the_name_of_the_function(study):
+    with pytest.raises(TypeError, match=r"Model\.run: .* unexpected keyword argument 'lid'"):
+        fast(study).run(lid=0.5)
+
+
 def test_points_have_to_be_in_the_fluid(tmp_path):
     study = sphrom.Study(LID, out=tmp_path, threads=1, report=TOLD.append)
     study.run(until="operators")

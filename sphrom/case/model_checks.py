@@ -202,7 +202,8 @@ def check_training_runs(case: Case) -> Found:
     asked = "rom" in case.model_fields_set and case.rom and not is_template
     if asked and not any(map(plan.is_driven, plan.train_points)):
         reason = "nothing drives the fluid in any training run, so that there are no modes"
-        yield "parameters.train", f"{reason}; drive it, let it start in motion (scene.initial), or set rom: []"
+        remedy = "drive it, let it start in motion (scene.initial), or set rom: []"
+        yield "parameters.train", f"{reason}; {remedy}"
     if plan.reference_bases and plan.driving:
         try:
             _ = plan.rest_and_units
