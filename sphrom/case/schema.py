@@ -259,10 +259,12 @@ def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
         return str(value)
     if kind == "extra_forbidden":
         word = str(path[-1])
+        known = known_keys(path[:-1], scene)
         elsewhere = (other for other in key_paths(kind=scene) if other[-1] == word)
-        if (similar := next(elsewhere, None)) is not None:
+        is_misspelt = get_close_matches(word, known, n=1, cutoff=0.8)
+        if not is_misspelt and (similar := next(elsewhere, None)) is not None:
             return f"unknown key; did you mean {show_path(similar)}?"
-        return f"unknown key; {nearest(word, known_keys(path[:-1], scene))}"
+        return f"unknown key; {nearest(word, known)}"
     if kind == "name":
         return f"must be {NAME_WORDS}"
     node = node_at(path, scene) or {}
