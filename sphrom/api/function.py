@@ -120,7 +120,8 @@ class Function:
                 words = nearest(name, [*case.scene.columns, *case.plan.oscillations])
                 endings = ", ".join(f"_{ending}" for ending in STATISTICS)
                 raise CaseError(
-                    f"{quoted(name)}: is no output; {words}; the endings of histories are {endings}"
+                    f"{quoted(name)}: is not an output; {words}; the endings of histories "
+                    f"are {endings}"
                 )
         self._outputs = [known[name] for name in outputs]
         self.units = tuple(output.units for output in self._outputs)
@@ -128,7 +129,7 @@ class Function:
         time = np.linspace(steps.start_time, steps.end_time, steps.n_snapshots)
         for name, output in zip(outputs, self._outputs, strict=True):
             if output.is_statistic and not output.counted(case, time).any():
-                raise CaseError(f"{quoted(name)}: no time of the runs counts for it")
+                raise CaseError(f"{quoted(name)}: its from_time is after all times of the runs")
         self._instant = instant
         if instant is not None and not steps.start_time <= instant <= steps.end_time:
             span = f"{steps.start_time:g} to {steps.end_time:g} s"

@@ -191,7 +191,7 @@ class Model:
             doubts += [f"{run.point.label}: {text}" for text in run.unlike_training[:1]]
             yield run
         if doubts:
-            self._warn(f"{len(doubts)} of {len(points)} runs are in doubt, such as {doubts[0]}")
+            self._warn(f"{len(doubts)} of {len(points)} runs are doubtful, such as {doubts[0]}")
 
     @guarded(solves=False)
     @checked
@@ -213,7 +213,7 @@ class Model:
         self._require(Ability.RUNS_ALONE, "function")
         for kind, names in (("inputs", inputs), ("outputs", outputs)):
             if not names or len({*names}) < len(names):
-                raise CaseError(f"{kind}: needs at least one name, none twice")
+                raise CaseError(f"{kind}: needs at least one name, and each only once")
         self._require_names(inputs)
         ranges = {name: self.ranges[name] for name in inputs}
         return Function(

@@ -64,7 +64,7 @@ def check_walls(driving: Driving) -> None:
         if across[worst] > ALONG * float(np.max(np.hypot.reduce(velocity.T))):
             raise ValueError(
                 f"walls.{name}: its velocity at {place_text(place[worst])} m has a normal "
-                f"component of {across[worst]:.3g} m/s; walls may only move along themselves"
+                f"component of {across[worst]:.3g} m/s; walls may only move in their own direction"
             )
 
 
@@ -180,8 +180,8 @@ def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
     if speed > THROUGH_WALL * sound_speed:
         yield (
             "initial",
-            f"goes through the wall {wall} with {speed:.3g} m/s, which makes a shock of "
-            "sound; start at rest, or with a velocity along the walls, or lower "
+            f"goes through the wall {wall} with {speed:.3g} m/s, which causes a strong sound "
+            "wave; start at rest, or with a velocity along the walls, or lower "
             "fluid.mach_number",
         )
 

@@ -89,12 +89,14 @@ class CustomScene(SceneSection):
     solids: dict[SafeName, Shape] = key({}, "solids in the box, by name")
     walls: dict[SafeName, MovingWallSection] = key(
         {},
-        "moving walls: sides of the box (left, right, bottom, top, and in space back, front) and "
+        "moving walls: sides of the box (left, right, bottom, top; in three dimensions also "
+        "back, front) and "
         "solids, by name",
     )
     constants: dict[SafeName, Coordinate] = key({}, "constants for expressions, by name")
     histories: dict[SafeName, Histories] = key(
-        {}, "functions of time, by name; for one named sway, expressions in t may contain sway(t)"
+        {},
+        "functions of time, by name; expressions in t may contain sway(t) if one has the name sway",
     )
     functions: dict[SafeName, Digest] = key(
         {}, "digests of functions that expressions may call, which only sphrom.Flow gives"

@@ -74,8 +74,9 @@ class RecordedMeasure(MeasureSection):
 
     from_time: Duration | None = key(
         None,
-        "time from which means, errors and other statistics count; null means after the ramp of an "
-        "inflow or after a driving that grows from zero to a constant value, otherwise the start",
+        "time from which means, errors and other statistics are computed; null means the end "
+        "of the ramp of an inflow or of a driving that grows from zero to a constant value, "
+        "otherwise the start",
         unit="s",
     )
 
@@ -110,7 +111,7 @@ class ForceMeasure(RecordedMeasure):
         "three dimensions the force alone",
     )
     coefficient: CoefficientSection | None = key(
-        None, "scales of the force's coefficient, which is then measured beside the force"
+        None, "scales of the force's coefficient, which is then measured too"
     )
 
     @property
@@ -215,7 +216,7 @@ class IntegralMeasure(FieldsMeasure):
     quantities: ClassVar[tuple[str, ...]] = ("velocity_integral", "pressure_integral")
 
     integral: SegmentSection = key(
-        ..., "segment: the integrals of velocity and pressure along it, over its length"
+        ..., "segment: the line integrals of velocity and pressure along it"
     )
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
@@ -344,7 +345,9 @@ class FrequencySection(Section):
 
     of: SafeName = key(..., "oscillating history, named as in tables of a sweep: `lift_force_y`")
     from_time: Duration | None = key(
-        None, "time from which the history counts; null means that of its measurement", unit="s"
+        None,
+        "time from which the history is used; null means the from_time of its measurement",
+        unit="s",
     )
 
 

@@ -139,7 +139,8 @@ class SampleSection(Section):
 
     count: Whole = key(..., "number of points", ge=1, le=100_000)
     method: Literal["sobol", "halton", "latin-hypercube"] = key(
-        "sobol", "sequence of points; a larger count keeps earlier points of sobol and halton"
+        "sobol",
+        "sequence of points; with sobol and halton, a larger count keeps the earlier points",
     )
     seed: Whole = key(0, "seed of the random shift", ge=0, le=2**32 - 1)
 

@@ -85,8 +85,8 @@ class LidDrivenCavityScene(SceneSection):
     )
     lid_ramp: Duration = key(
         0.0,
-        "time in which the lid reaches its speed: 0 is an impulsive start, as in the paper, which "
-        "also makes sound; 3 length / c0 makes none",
+        "time in which the lid reaches its speed: 0 is an impulsive start, as in the paper, "
+        "which also produces sound; 3 length / c0 produces none",
         unit="s",
     )
     measure: Measures = MEASURE

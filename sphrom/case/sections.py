@@ -47,7 +47,7 @@ class PackingSection(Section):
 
     seed: Whole = key(0, "seed of the random start", ge=0, le=2**32 - 1)
     tolerance: Number = key(
-        1e-3, "unevenness of particles at which packing stops", unit="-", ge=1e-12, le=1.0
+        1e-3, "unevenness of the particles at which the packing stops", unit="-", ge=1e-12, le=1.0
     )
 
 
@@ -141,12 +141,15 @@ class DiscretizationSection(Section):
     )
     initial_particles: Literal["auto", "packed", "lattice"] = key(
         "auto",
-        "initial positions: packed, or on a lattice, which fits walls along the axes but breaks up "
-        "with noise; auto means lattice in scenes with walls along the axes only, else packed",
+        "initial positions: packed, or on a lattice, which fits walls along the axes but "
+        "adds noise when it breaks up; auto means lattice in scenes whose walls all follow "
+        "the axes, else packed",
     )
     packing: PackingSection = key(PackingSection(), "packing of particles before the run")
     fixed_volume: Flag = key(
-        True, "whether to subtract the mean of continuity, so that the total volume is conserved"
+        True,
+        "whether to subtract the mean of the continuity equation, so that the total volume "
+        "is conserved",
     )
     shifting: ShiftingSection = key(ShiftingSection(), "particle shifting (Eq. 2.13-2.14)")
     walls: WallSection = key(WallSection(), "ghost particles, where the scene has walls")
@@ -249,13 +252,14 @@ class BasisSection(Section):
     )
     inner_product: Literal["acoustic", "raw"] = key(
         "acoustic",
-        "inner product of states: acoustic energy, in which the reduced model is stable, or the "
-        "dot product of raw values",
+        "inner product of states: acoustic energy, which makes the reduced model stable, or "
+        "the dot product of raw values",
     )
     mean_density: Literal["auto", "in-modes", "separate"] = key(
         "auto",
-        "the spatial mean of the density: part of the modes, or a variable of its own; auto means "
-        "separate with the acoustic product if the volume is fixed or walls enclose the fluid",
+        "the spatial mean of the density: part of the modes, or a variable of its own; auto "
+        "means separate if the product is acoustic and the volume is fixed or walls enclose "
+        "the fluid",
     )
     lagrangian: Flag = key(False, "whether to store also the singular values of unmapped snapshots")
     subsets: dict[SafeName, SubsetSection] = key(
@@ -311,7 +315,7 @@ class CompareSection(Section):
         "whether to draw figures; null draws the four most telling ones, and `sphrom report` the "
         "others",
     )
-    from_time: Duration = key(0.0, "time from which errors count", unit="s")
+    from_time: Duration = key(0.0, "time from which errors are computed", unit="s")
     figures: tuple[FigureSection, ...] = key(
         (), "figures that `sphrom figures` draws, besides those of `sphrom compare`"
     )

@@ -153,7 +153,7 @@ class Answer:
         yield from self._loads()
         for row in self.oscillations:
             if row.remark:
-                yield f"The oscillation ({row.measured}) has no figures: {row.remark}."
+                yield f"The oscillation ({row.measured}) can't be compared: {row.remark}."
                 continue
             errors = row.frequency_error, row.amplitude_error, row.phase_error
             frequency, amplitude, phase = (format_figure(error, DIGITS) for error in errors)
@@ -210,7 +210,7 @@ class Answer:
             return
         takes = f"{takes}, the full run {full} at its largest stable step."
         if timing.speed_up <= 1.0:
-            yield f"{takes} It is not faster; use a model with evaluation: operators."
+            yield f"{takes} The model is not faster; use one with evaluation: operators."
             return
         yield takes
         gains = timing.speed_up, timing.least_speed_up, timing.greatest_speed_up

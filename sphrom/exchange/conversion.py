@@ -129,8 +129,9 @@ class Converter:
             ends = zip(low.tolist(), high.tolist(), strict=True)
             spans = " and ".join(f"{start:.6g} to {end:.6g} m" for start, end in ends)
             raise CaseError(
-                f"{foreign.path}: {outside} of the particles are outside the scene; all span "
-                f"{spans}, with a spacing of {distance:.3g} m, and {spacing:.3g} m in the "
+                f"{foreign.path}: {outside} of the particles are outside the scene; all of "
+                f"them span {spans}, with a spacing of {distance:.3g} m, and {spacing:.3g} m "
+                "in the "
                 f"case; check --units, --origin, --array and the size of the scene{fitting}"
             )
         if domain.n_dim == 3:

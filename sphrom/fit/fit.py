@@ -270,7 +270,7 @@ def fit(
     if len(values) <= len(box.names):
         raise CaseError(
             f"{measurements.source}: {len(values)} values can't determine {len(box.names)} "
-            f"parameters ({', '.join(box.names)}); fix some of them in fit.parameters"
+            f"parameters ({', '.join(box.names)}); give values for some of them in fit.parameters"
         )
     model = fitted_model(fast, box, measurements.histories)
     from scipy.stats import chi2, qmc

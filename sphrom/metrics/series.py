@@ -33,7 +33,7 @@ STEADY, SHEDDING, UNDECIDED = REGIMES = ("steady", "shedding", "undecided")
 """Regimes of a flow: below the onset of its oscillation, beyond it, or too close to tell."""
 BELOW_ONSET = "the model's flow is steady there, below the onset of the oscillation"
 """Why a run in the regime STEADY has no frequency and no amplitude."""
-TOO_CLOSE = "estimates of the onset differ: the flow may oscillate or be steady"
+TOO_CLOSE = "it lies within the range of onset estimates: the flow may oscillate or be steady"
 """A warning about a run in the regime UNDECIDED."""
 NO_OSCILLATION = "fewer than three periods of an oscillation"
 """Why a record has no frequency and no amplitude."""

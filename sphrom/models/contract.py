@@ -139,8 +139,8 @@ _REFERENCE = {
 }
 """The functions of models with modes on the points of a reference space."""
 _NO_SYSTEM = (
-    "{model} is evaluated on particles, so it is no system of equations for its coordinates; "
-    "choose a model with evaluation: operators"
+    "{model} is evaluated on particles, so it has no equations for its coordinates; choose a "
+    "model with evaluation: operators"
 )
 _NO_POLYNOMIAL = "is not for models of a free surface"
 _NOT_PORTABLE = "{model} has a free surface, and only systems of polynomials are exported"
@@ -197,7 +197,7 @@ FAMILIES: Mapping[str, Family] = {
         lacks={
             Ability.EQUATIONS: _NO_POLYNOMIAL,
             Ability.SENSITIVITIES: _NO_POLYNOMIAL,
-            Ability.EXTREMES: "maps no models of a free surface",
+            Ability.EXTREMES: "has no maps of models of a free surface",
             Ability.MEMORY: "models of a free surface have no memory",
             Ability.MODE_FIELDS: "models of a free surface need no splines of modes",
             Ability.PORTABLE: _NOT_PORTABLE,

@@ -121,8 +121,8 @@ class Watch:
             worst = int(np.argmax(beyond))
             speed = math.sqrt(2.0 * gain[worst])
             yield (
-                f"at t = {time[worst]:.4g} s the fluid has more energy than all work done on it "
-                f"explains: it is that of a speed of {speed:.3g} m/s of all fluid"
+                f"at t = {time[worst]:.4g} s the fluid has more energy than the work done on "
+                f"it explains: the excess is that of a speed of {speed:.3g} m/s of all fluid"
             )
         mach = self.max_speed / self.sound_speed
         most = max(MOST_FLUCTUATION, PER_MACH_SQUARED * mach**2)

@@ -271,7 +271,7 @@ class Results:
         if doubtful := [run for run in records if run.status == COMPLETE and run.reason]:
             first = doubtful[0]
             report.warn(
-                f"{len(doubtful)} of {len(records)} runs are in doubt, such as "
+                f"{len(doubtful)} of {len(records)} runs are doubtful, such as "
                 f"{first.point.label}: {first.reason}"
             )
         if times := case.plan.times_in_words:
@@ -403,9 +403,12 @@ def _missing(case: Case, rows: Sequence[Cells], records: Sequence[RunRecord]) ->
     for name in case.scene.measured_fields if case.plan.with_weight else ():
         path = f"measure/{name}/pressure"
         if dry := sum(bool((r.values.get(path, np.ones(1)) == 0.0).any()) for r in records):
-            yield f"{name}: {DRY} in {dry} of {len(complete)} runs; zeros count in its statistics"
+            yield (
+                f"{name}: {DRY} in {dry} of {len(complete)} runs; its statistics include these "
+                "zeros"
+            )
     if none := [n for n in case.scene.columns if complete and complete[0][f"{n}_mean"] is None]:
-        yield f"runs end before the times from which statistics of {', '.join(none)} count"
+        yield f"runs end before the from_time of {', '.join(none)}"
 
 
 def _summary(

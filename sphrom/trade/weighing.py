@@ -363,11 +363,13 @@ def recommend(
     else:
         faster = [row for row in rows[1:] if row.beaten_by is None]
         least = [_best(faster, q, measure) for q in measure.quantities]
-        text += "there is only the case's own full run; "
+        text += "only the case's own full run is within it; "
         if any(least):
-            text += f"the least error of faster ones is in {' and in '.join(filter(None, least))}"
+            text += (
+                f"the smallest error of a faster run is in {' and in '.join(filter(None, least))}"
+            )
         else:
-            text += "each other one is unstable, or no more accurate than one that is as fast"
+            text += "every other run is unstable, or no more accurate than one that is as fast"
     if enough:
         text += f"; without a model, {enough[0]} is within the tolerance, too"
     return advice, text

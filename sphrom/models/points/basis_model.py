@@ -420,7 +420,7 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
         return reference_model.runge_kutta(reduced, n_steps)
     if reduced.first_step is None and output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
-            f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, more "
+            f"rom: {section.name} is stable only with steps below {reduced.step_limit:.3g} s, more "
             f"than {MAX_STEPS:g} in a run; choose fewer modes, a memory_length or a time_step"
         )
     return reference_model.automatic_whole(reduced)

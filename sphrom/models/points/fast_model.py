@@ -299,7 +299,10 @@ class FastRun(ModelRun):
         """Why a completed run may be wrong, as far as is known without a full run."""
         errors = self.estimate
         if errors is None and self.model.at_point(self.point).errors is not None:
-            text = "no estimate of errors: the training runs have none, or all of them diverge"
+            text = (
+                "no estimate of errors: the model's training runs have no error estimates, or "
+                "all of them diverge"
+            )
             return (*self.outside, text)
         if errors is None or max(errors.velocity_percent, errors.pressure_percent) < DOUBTFUL:
             return self.outside
