@@ -18,7 +18,7 @@ from sphrom.text import duration
 MOST_SHOWN = 0.99
 """Largest share that is shown: work whose end is near isn't done yet."""
 LEAST_LEFT = 1.0
-"""Least time left that is told [s]."""
+"""Smallest time left that is shown [s]."""
 PRIOR = 0.01
 """Share of all work that counts as done at the estimated pace, so that the first items don't set
 the pace alone."""
@@ -26,12 +26,12 @@ the pace alone."""
 
 @dataclass
 class _Clock:
-    """The time without that of compiling, which tells nothing about the time of other work."""
+    """A clock that stops during compilation, which says nothing about the time of other work."""
 
     lost: float = 0.0
-    """Time of compiling until now [s]."""
+    """Time of compilation so far [s]."""
     stopped: float | None = None
-    """When the compiling began that goes on."""
+    """Start of the current compilation."""
 
     def now(self) -> float:
         return (time.monotonic() if self.stopped is None else self.stopped) - self.lost
@@ -53,9 +53,10 @@ class StageTime:
 
     seconds: float
     items: Mapping[str, float] = field(default_factory=dict)
-    """Of each progress within it, by the description up to a comma."""
+    """The time of each progress within it [s], by the description up to a comma."""
     uncounted: float = 0.0
-    """The part of it before the first item that is counted, or all of it; it runs by the clock."""
+    """The part before the first counted item, or the whole stage; its progress follows the
+    clock."""
     at_once: int = 1
     """The number of items that are made at the same time."""
     is_limit: bool = False

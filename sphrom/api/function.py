@@ -31,7 +31,7 @@ Runs = Callable[[Sequence[Mapping[str, float]]], Iterator[ModelRun]]
 
 @dataclass(frozen=True)
 class Output:
-    """A number of a run: a value or a statistic of a history, or a figure of an oscillation."""
+    """A number of a run: a value or a statistic of a history, or a property of an oscillation."""
 
     measure: str
     """The measurement, or its estimated error if it begins with ERROR."""
@@ -43,11 +43,11 @@ class Output:
 
     @property
     def is_statistic(self) -> bool:
-        """Whether it follows from all times that count, not from a single one."""
+        """Whether it is a statistic over times since `from_time`, not a value at one time."""
         return self.ending not in ("", "last")
 
     def counted(self, case: Case, time: Array) -> Mask:
-        """Return whether times (n_snapshots,) [s] count."""
+        """Return a mask of the times (n_snapshots,) [s] from which the output is computed."""
         return case.plan.counted(self.measure.removeprefix(ERROR), time)
 
     def of(self, case: Case, time: Array, measured: Measured, instant: float | None) -> float:
@@ -218,7 +218,7 @@ class Function:
         return np.stack(columns, axis=1)
 
     def _differences(self, row: Array) -> Array:
-        """Return the same by runs at slightly different values, within the trained ranges."""
+        """Return the derivatives by runs at slightly different values in the trained ranges."""
         columns = []
         for k, (low, high) in enumerate(self.bounds):
             ends = np.tile(row, (2, 1))

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from sphrom.fit.forward_model import TrainingDifferences
 
 LEAST_STEP = 1e-3
-"""Least length of the steps of sensitivities, over the automatic one."""
+"""Smallest time step for sensitivities, relative to the automatic one."""
 
 
 class Model:
@@ -185,7 +185,7 @@ class Model:
         return self._labels.runs(self._runs(at), [p.as_dict() for p in at], self.name)
 
     def _runs(self, points: Sequence[ParameterPoint]) -> Iterator[ModelRun]:
-        """Run the model at many points, and warn of those in doubt."""
+        """Run the model at many points, and warn of doubtful runs."""
         doubts = []
         for run in self._fast.runs(points):
             doubts += [f"{run.point.label}: {text}" for text in run.unlike_training[:1]]

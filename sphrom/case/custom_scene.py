@@ -53,11 +53,11 @@ from sphrom.sph.space_box import SpaceBox
 from sphrom.sph.terms import Term
 
 MOST_PLACES = 200_000
-"""Most places of particles at which expressions are checked, too."""
+"""Largest number of particles at whose places expressions are also checked."""
 MOST_SETTINGS = 64
-"""Most values of the parameters, evenly chosen, at which slow checks are made."""
+"""Largest number of parameter points, evenly chosen, at which slow checks are made."""
 MOST_KNOWN = 4000
-"""Most values of the parameters with a cached driving."""
+"""Largest number of parameter points with a cached driving."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,7 @@ class CustomScene(SceneSection):
 
     @cached_property
     def domain(self) -> Domain:
-        """The box less its solids."""
+        """The box without its solids."""
         lower = self.box.lower
         upper = self.box.upper
         if len(lower) != len(upper):

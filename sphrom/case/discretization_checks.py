@@ -29,7 +29,7 @@ MOST_REFINED = 4
 COARSEST = 8
 """The lowest resolution."""
 MOST_POINTS, MOST_COUNTED = 2e10, 2e7
-"""Most points of a lattice over the box, and over one whose particles are counted one by one."""
+"""Largest number of lattice points in a box, and in one whose particles are counted one by one."""
 
 
 def check_size(case: Case) -> Found:

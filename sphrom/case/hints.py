@@ -20,17 +20,18 @@ from sphrom.sph.fluid import ROUNDING
 from sphrom.sph.walls.kinds import KINDS
 
 SNAPSHOTS_PER_MODE = 2
-"""Least number of snapshots per mode without a warning."""
+"""Smallest number of snapshots per mode without a warning."""
 SNAPSHOTS_PER_PERIOD = 4
 """Least number of snapshots in a period of the driving without a warning."""
 ROWS_PER_PERIOD = 4
 """Rows of a measured history in its shortest period, below which this period is noise."""
 THICKENED = 4
-"""Spacings across a porous body that is thin enough to be one, and resolved."""
+"""Width in spacings that is recommended for a thin porous body, so that it is resolved."""
 MOST_MISSED = 0.02
-"""Largest difference of the areas of particles and their shape without a warning, over the area."""
+"""Largest difference of the areas of particles and their shape without a warning, relative to the
+area."""
 LEAST_STRIP = 20.0
-"""Least width of a strip, over the spacing; its rate then falls within two spacings."""
+"""Least width of a strip, relative to the spacing; its rate then falls within two spacings."""
 
 NARROW, USUAL, WIDE = 1.8, 2.5, 0.13
 """h/dx below which fluid with a free surface is noisy, above which a kernel is wider than the usual

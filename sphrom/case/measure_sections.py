@@ -35,14 +35,15 @@ if TYPE_CHECKING:
     from sphrom.case.models import Case
 
 WITHIN_WALL = 0.1
-"""Tolerated depth of a place in a solid, over the particle spacing, as circles are polygons."""
+"""Tolerated depth of a place in a solid, relative to the particle spacing, as circles are
+polygons."""
 PER_SPACING = 4
 """Places to check along a segment, per particle spacing."""
 MOST_LOOKED_AT = 100_000
 
 
 class MeasureSection(Section):
-    """One measurement: what it measures, and the times that count."""
+    """One measurement: its quantity, and the time from which statistics are computed."""
 
     folder: ClassVar[str] = "measure"
     """The group of its datasets in artifacts, and the beginning of its figures' names."""
@@ -62,7 +63,7 @@ class MeasureSection(Section):
         """Return why a case can't have the measurement, or None."""
 
     def time_problem(self, case: Case) -> str | None:
-        """Return why the time from which it counts is impossible, or None."""
+        """Return why its `from_time` is impossible, or None."""
         end = case.time.final_time
         if self.since is None or self.since < end:
             return None

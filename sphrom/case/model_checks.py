@@ -195,7 +195,7 @@ def _start_problem(case: Case, point: ParameterPoint) -> str | None:
 
 
 def check_training_runs(case: Case) -> Found:
-    """Refuse models that training runs can't teach anything."""
+    """Refuse models whose training runs contain no motion to learn from."""
     plan = case.plan
     # A box of fluid that nothing describes yet is a template.
     is_template = case.scene == type(case.scene).model_validate({"kind": case.scene.kind})

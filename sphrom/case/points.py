@@ -87,7 +87,7 @@ def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[st
 
 
 MAX_RUNS = 1000
-"""Most full runs of one case, and most points of one reduced model; sweeps allow more."""
+"""Largest numbers of full runs of a case and of points of a reduced model; sweeps allow more."""
 DIGITS = 6
 """Digits of sampled values, which are part of file names."""
 

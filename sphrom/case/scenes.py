@@ -202,7 +202,7 @@ class OpenCavityScene(SceneSection):
         return PROBE_SHARE * self._cavity.channel_length
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return the head of the force less its mean along the channel [m2/s2]."""
+        """Return the head of the force minus its mean along the channel [m2/s2]."""
         cavity = self._cavity.cavity_length
         length = self._cavity.channel_length
         return abs(self._force(values).largest) * cavity * (1.0 - cavity / length)

@@ -231,9 +231,9 @@ FigureSection = Annotated[OfRuns | OfModes, Field(discriminator="kind")]
 
 
 MOST_VALUES = 100_000
-"""Most points of one sweep."""
+"""Largest number of points of one sweep."""
 NEVER = 1e-9
-"""Probability of impossible values that is small enough to ignore."""
+"""Probability of impossible values, below which they are ignored."""
 
 Share = Annotated[Number, Field(ge=1e-4, le=1.0 - 1e-4)]
 

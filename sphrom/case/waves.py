@@ -18,7 +18,7 @@ from sphrom.reduction.surface_basis import SLOPE_BEYOND_TRAINING
 from sphrom.text import exact
 
 MOST_POINTS = 100
-"""Of a list, evenly chosen: each takes some milliseconds."""
+"""Largest number of points to check, evenly chosen, because each takes some milliseconds."""
 
 
 def steeper_than_training(

@@ -29,11 +29,11 @@ from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 VELOCITIES = (("u", "v", "w"), ("velocity.x", "velocity.y", "velocity.z"))
 """Default names of the components of velocity."""
 FLUCTUATION = "density_fluctuation"
-"""Name of the density less its reference value in files that this program exported."""
+"""Name of the density minus its reference value in files that this program exported."""
 ROUNDING = 1e-6
 """Share of the largest speed up to which a third component of velocity counts as zero."""
 MOST_SPEED = 5.0
-"""Speed over that of the scene, above which the unit is probably wrong."""
+"""Speed relative to that of the scene, above which the unit is probably wrong."""
 MOST_EMPTY, EMPTY = 0.01, 2.0
 """Largest share of a box in space that is empty, and distance of its places from the nearest
 particle, over the spacing."""
@@ -167,7 +167,7 @@ class Converter:
             )
 
     def _fluctuation(self, foreign: ForeignSnapshot) -> Array:
-        """Return the density less its reference value (n_particles,) [kg/m3], checked."""
+        """Return the density minus its reference value (n_particles,) [kg/m3], checked."""
         reference = self._case.fluid.reference_density
         if self.options.pressure is None:
             usual = FLUCTUATION if FLUCTUATION in foreign.fields else "rho"

@@ -25,13 +25,14 @@ from sphrom.sph.time_loop import Snapshot, TimeSteps
 from sphrom.text import counted, shortened
 
 TIME_TOLERANCE = 1e-2
-"""Tolerance for the times of snapshots that are used unchanged, over the snapshot interval."""
+"""Tolerance for the times of snapshots that are used unchanged, relative to the snapshot
+interval."""
 SAME_TIME = 1e-9
-"""The same tolerance if other snapshots are interpolated."""
+"""The tolerance for such times if other snapshots are interpolated."""
 N_NODES = 4
 """Number of snapshots to interpolate from, by cubic polynomials."""
 FARTHEST = 2.0
-"""Largest motion of a particle between two snapshots, over that at the largest speed."""
+"""Largest motion of a particle between two snapshots, relative to that at the largest speed."""
 Choice = tuple[float, list[Source]]
 """A time [s] with the snapshot to use unchanged, or with those to interpolate between."""
 

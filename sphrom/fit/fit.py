@@ -57,15 +57,15 @@ SHOWN_DIGITS = 5
 SURE = 0.999
 """Probability that chi^2 of a correct model and noise stays below the limit for a warning."""
 TRUSTED = 4.0
-"""Largest part of chi^2 beyond noise, over the part that the estimated errors explain."""
+"""Largest part of chi^2 beyond noise, relative to the part that the estimated errors explain."""
 MOST_MINIMA = 5
-"""Most minima that the search refines with the model's errors."""
+"""Largest number of minima that the search refines with the model's errors."""
 WHOLLY = 0.99
 """Share of a parameter in undetermined directions above which it is undetermined."""
 SHOWN_SHARE = 0.01
 """The same share, above which it belongs to an undetermined combination."""
 MOST_SHOWN = 12
-"""Most histories in the terminal and in the figure."""
+"""Largest number of histories in the terminal and in the figure."""
 COLUMNS = 2
 """Columns of panels in the figure."""
 NUMBERS = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")

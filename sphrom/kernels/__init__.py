@@ -12,7 +12,7 @@ import sys
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 SUPPORT_RATIO = 2.0
-"""Support radius of the smoothing kernel over its smoothing length (kappa)."""
+"""Support radius of the smoothing kernel relative to its smoothing length (kappa)."""
 
 _asked: int | None = None
 

@@ -1,6 +1,6 @@
 """The terms of one pair of particles i and j (Eq. 2.6-2.14), in two or three dimensions.
 
-The offset is x_i - x_j; differences are those of j less those of i. A term is multiplied by
+The offset is x_i - x_j; differences are those of j minus those of i. A term is multiplied by
 `slope_weight` in the sum over j; so every term vanishes beyond the kernel's support, and no branch
 is needed. A particle and itself have no offset.
 """

@@ -14,7 +14,7 @@ import numpy as np
 from sphrom.arrays import Array
 
 GAP = 0.06
-"""Distance between slices in a picture, over the longest edge of the box."""
+"""Distance between slices in a picture, relative to the longest edge of the box."""
 VIEWS = ((0, 1), (2, 1), (0, 2))
 """The axes to the right and upwards of each slice of a box in space."""
 Extent = tuple[float, float, float, float]

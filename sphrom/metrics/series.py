@@ -38,8 +38,8 @@ TOO_CLOSE = "it lies within the range of onset estimates: the flow may oscillate
 NO_OSCILLATION = "fewer than three periods of an oscillation"
 """Why a record has no frequency and no amplitude."""
 AT_REST, SETTLED, LEAST_SETTLED = 0.05, 1e-3, 0.1
-"""Of a driving that grows from zero: its first value and its deviation when it is settled, over the
-final value, and the least share of the time in which it is settled."""
+"""Of a driving that grows from zero: its first value and its deviation when it is settled, relative
+to the final value, and the least share of the time in which it is settled."""
 UNIFORM_TOLERANCE = 1e-3
 """Largest relative difference between the intervals of a record."""
 
@@ -235,7 +235,8 @@ N_RECORDS, N_IN_RECORD, N_SCALES = 64, 256, 36
 FEWEST_TURNS, MOST_TURNS = 8, 64
 """Turns of a record that show an oscillation: four periods at least, and eight samples a period."""
 LEAST_CHANGE = 0.01
-"""Smallest change between samples that counts, over the largest absolute value of the signal."""
+"""Smallest change between samples that counts, relative to the largest absolute value of the
+signal."""
 STENCIL, N_HALVINGS = (-1.0, -0.5, 0.0, 0.5, 1.0), 40
 """Places that the search for a peak compares, and the number of halvings of their distance."""
 POLE = 1e4

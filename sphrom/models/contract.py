@@ -297,11 +297,12 @@ class TrainedDifferences:
     """The errors of a training run that a model predicts from the others."""
 
     measured: dict[str, Quantities]
-    """(n_snapshots, ...) measurements of the full run less those of the model."""
+    """(n_snapshots, ...) measurements of the full run minus those of the model."""
     fields: Array
     """(n_snapshots, 2) root mean square errors of velocity [m/s] and pressure [Pa]."""
     missed: dict[str, Quantities]
-    """(...) errors of measurements that are due to the basis, over the error of their field."""
+    """(...) errors of measurements that are due to the basis, relative to the error of their
+    field."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ Solids = tuple[Array, Array, Array]
 negative in the solid."""
 PIXELS_PER_SPACING = 3.0
 MAX_PIXELS = 400
-"""Most pixels along the longer side of a raster."""
+"""Largest number of pixels along the longer side of a raster."""
 NOWHERE = 1e30
 """Coordinate of pixels between slices, far from all points [m]."""
 REACH = 1.1

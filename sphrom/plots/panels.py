@@ -120,19 +120,19 @@ CURVES = (4.4, 3.2)
 LEAST_WIDTH = 7.5
 """Least width of a figure [inch]."""
 X_TICKS, AN_INCH, LETTERS = 4, 2, 5.0
-"""Most labels along a picture, labels per inch, and their font size over its width."""
+"""Largest number of labels along a picture, labels per inch, and their font size over its width."""
 EDGE = 0.06
 """Margin below the labels of colour bars, whose reported height is too small [inch]."""
 LETTER, MARGINS = 0.07, 0.6
 """Approximate width of a letter in titles and legends, and of a legend's handle [inch]."""
 BEYOND = 2.0
-"""Largest extension of a shared scale beyond its given range, over that range."""
+"""Largest extension of a shared scale beyond its given range, relative to that range."""
 SHOWN = (0.5, 99.5)
 """Percentiles at the ends of a scale; extremes in corners would take up most colours."""
 N_MARKERS, MOST_MARKERS = 12, 26
 """Approximate number of markers along a run's curve, and along a reference with many points."""
 LEAST_GAP = 0.05
-"""Least distance between the labels of marked numbers, over the width of the axis."""
+"""Least distance between the labels of marked numbers, relative to the width of the axis."""
 EXTENDED: Any = ("neither", "min", "max", "both")
 """The pointed ends of a colour bar: neither, the lower, the upper, both."""
 LOOKS: dict[Role, dict[str, Any]] = {

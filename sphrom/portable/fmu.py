@@ -34,11 +34,11 @@ PLATFORMS = {("Linux", "x86_64"): "binaries/linux64/{}.so"}
 BLOCK = 100_000
 """References: parameters, the input and its switch, outputs, states and rates, BLOCK each."""
 STEP_SHARE = 0.125
-"""Steps in co-simulation, over the largest stable ones around training states."""
+"""Steps in co-simulation, relative to the largest stable ones around training states."""
 SECONDS = 300
 """Time that compilation may take [s]."""
 MOST_REASON = 500
-"""Most characters of the compiler's messages in a warning."""
+"""Largest number of characters of the compiler's messages in a warning."""
 
 
 def content(model: Model[Any]) -> bytes:

@@ -25,9 +25,10 @@ from sphrom.text import visible
 from sphrom.version import __version__
 
 MOST_COLUMNS = 160
-"""Most columns of a picture's grid if the user gives no number."""
+"""Largest number of columns of a picture's grid if the user gives no number."""
 MOST_BYTES, FOR_FIELDS = 1_400_000, 400_000
-"""Most bytes of the page then, and bytes that the fields of modes may have on any page."""
+"""Largest number of bytes of the page then, and bytes that the fields of modes may have on any
+page."""
 WRITTEN = 8.0 / 3.0
 """Bytes of a number of 16 bits in base64."""
 LEAST_COLUMNS, GREATEST_COLUMNS = 8, 500

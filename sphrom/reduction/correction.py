@@ -44,7 +44,8 @@ EVENNESS = 1e-6
 ROUNDING = 1e-12
 """Two points closer than this share of the largest distance are the same."""
 INSIDE = 1e-6
-"""A point is inside the hull up to this distance, over that of the farthest training point."""
+"""A point is inside the hull up to this distance, relative to that of the farthest training
+point."""
 
 
 def spline_weights(places: Array, place: Array) -> Array:

@@ -51,7 +51,7 @@ N_CLOSED = 2
 DIFFERENCE = 1e-4
 """Of the numbers, for derivatives of runs."""
 MOST_GROWTH = 1e-6
-"""Of small waves about the fluid at rest, over the fastest frequency."""
+"""Of small waves about the fluid at rest, relative to the fastest frequency."""
 
 
 @dataclass(frozen=True)

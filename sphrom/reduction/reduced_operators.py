@@ -324,7 +324,8 @@ class ReducedOperators(_Parts):
 
     @property
     def skewness(self) -> float:
-        """Largest entry of the acoustic part's symmetric part, over the largest entry of the part.
+        """Largest entry of the acoustic part's symmetric part, relative to the largest entry of the
+        part.
 
         In the acoustic product it is zero up to rounding: projection creates no sound.
         """

@@ -115,7 +115,7 @@ def run(context: StageContext) -> None:
 
 
 def _links(workspace: Workspace) -> Iterator[Html]:
-    """Yield links to the exported pages of the case's models that were not trained again since."""
+    """Yield links to those exported pages that are not older than their models."""
     for model in workspace.case.rom:
         trained = workspace.model(model).path
         path = workspace.out / FOLDER / f"model-{model.name}.html"

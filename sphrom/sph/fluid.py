@@ -104,7 +104,7 @@ class Discretization:
     shifting_transport: Literal["advective", "paper"] = "advective"
     """Transport by shifting: of differences, by a particle's own shift; or as printed."""
     wall_kind: str = "mirrored"
-    """The rule of walls, of `sphrom.sph.walls.kinds`."""
+    """The wall rule, one of `sphrom.sph.walls.kinds`."""
     free_slip: bool = False
     """Whether fluid slips along walls without friction."""
     free_surface: bool = False

@@ -27,7 +27,7 @@ Lengths = tuple[float, ...]
 Periodic = tuple[bool, ...]
 
 ROUNDING = 1e-9
-"""Tolerance for equal lengths up to rounding, over the size of the box."""
+"""Tolerance for equal lengths up to rounding, relative to the size of the box."""
 MOST_CROSSINGS = 1e5
 """Largest number of crossings between combined shapes; this many take a second."""
 N_EDGES = 50

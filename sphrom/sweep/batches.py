@@ -53,14 +53,14 @@ ERROR = "error_estimate/"
 OVER_TIME = f"{ERROR}velocity_over_time", f"{ERROR}pressure_over_time"
 """Names of the estimated errors of the fields."""
 INDICES = {"complete_run": "complete", "estimated_run": f"{ERROR}run"}
-"""The datasets with the indices of those runs that others have, by their first axis."""
+"""Datasets with the indices of the runs that have certain data, by the first axis of the data."""
 MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
 OSCILLATION_ERRORS = f"{ERROR}oscillations"
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """One run of a sweep: its values, and the reason why it has none or is in doubt."""
+    """One run of a sweep: its values, and the reason why it has none or is doubtful."""
 
     point: ParameterPoint
     status: int

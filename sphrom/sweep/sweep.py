@@ -65,7 +65,7 @@ from sphrom.text import counted, duration
 BATCHES_EACH = 4
 """Approximate number of tasks per worker, so that all end at a similar time."""
 MOST_SHOWN = 10
-"""Most failed runs that are shown one by one."""
+"""Largest number of failed runs that are shown one by one."""
 FIGURES = {
     "time_step": "s",
     "kinetic_energy": "J/m",
@@ -79,7 +79,7 @@ points and snapshots, root mean squares of estimated errors over those of the fi
 SHOWN = ("_mean", "_frequency", "_amplitude")
 """Suffixes of the names of measured figures that are shown."""
 BEYOND = {None: "", 0: "no", 1: "yes"}
-"""The words for runs outside of the trained range, unknown without an estimate."""
+"""Table entries that say whether a run is outside of the trained range; None means unknown."""
 Cells = dict[str, str | float | None]
 """The row of a run in the table, by column; None without a result or an estimate."""
 

@@ -107,7 +107,7 @@ class Trial:
     step_factor: float = 1.0
     """Time steps over automatic ones."""
     until: float = 1.0
-    """Final time over that of training runs."""
+    """Final time relative to that of training runs."""
 
     def row(self, kind: Kind, **described: Any) -> ExtremeRun:
         """Return the row of a run."""

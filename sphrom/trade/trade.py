@@ -57,9 +57,9 @@ if TYPE_CHECKING:
 Rows = tuple[weighing.ModelRow, list[weighing.RunRow]]
 
 MARGIN = 0.2
-"""Margin around points for their names, over the axes."""
+"""Margin around points for their names, relative to the axes."""
 APART = (0.2, 0.05)
-"""Least distance between the names of points, horizontal or vertical, over the axes."""
+"""Least distance between the names of points, horizontal or vertical, relative to the axes."""
 ON_FRONT = "*"
 """Mark of an error that no model reaches in less time."""
 HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")

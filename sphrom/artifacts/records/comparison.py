@@ -8,7 +8,7 @@ from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset, part
 
 _PLACES = {"line": "on the line", "field": "over the whole field"}
-_NORMS = {"velocity": "velocity", "pressure": "pressure less its mean there"}
+_NORMS = {"velocity": "velocity", "pressure": "pressure minus its mean there"}
 _VALUES = {"velocity": "speed", "pressure": "pressure"}
 _RANGES = {"line": "on the line", "field": "of the whole field"}
 

@@ -24,7 +24,7 @@ VELOCITY = Labels("m/s", "velocity", "u", "Eq. 2.7")
 PRESSURE = Labels("Pa", "pressure", "p", "Eq. 2.8")
 REFERENCE_POSITION = Labels("m", "points of the reference space", "x_G", "Eq. 3.14")
 VELOCITY_ERROR = Labels("m/s", "estimated root mean square error of the velocity")
-PRESSURE_ERROR = Labels("Pa", "estimated root mean square error of the pressure less its mean")
+PRESSURE_ERROR = Labels("Pa", "estimated root mean square error of the pressure minus its mean")
 _ABOUT = "about a solid's centroid, or about the box's centre on a side of it"
 
 Status = Literal["complete", "unstable"]

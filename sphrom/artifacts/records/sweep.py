@@ -25,7 +25,7 @@ class Estimates(Record):
     pressure: Array = dataset(
         "estimated_run",
         "%",
-        "estimated error of the pressure less its mean, over its root mean square over the run",
+        "estimated error of the pressure minus its mean, over its root mean square over the run",
     )
     extrapolated: Indices = dataset(
         "estimated_run",

@@ -163,7 +163,7 @@ class BasisModel:
     def uncorrected(
         self, point: ParameterPoint, known: Mapping[str, Rates] | None = None
     ) -> ReferenceModel:
-        """Return the same without corrections and forces; `known` has its rates, if available."""
+        """Return the model without corrections and forces; `known` has its rates, if available."""
         if self.problem is not None:
             raise self.problem
         model = self.projected(point, known=known)
@@ -209,7 +209,7 @@ class BasisModel:
     def equations(
         self, modes: str, point: ParameterPoint, in_training: bool, known: Rates | None = None
     ) -> ReferenceModel:
-        """Return the same without states and linear parts, which only steps need."""
+        """Return the equations without states and linear parts, which only steps need."""
         case = self.workspace.case
         rates = self.trained.rates[modes]
         viscosity = case.plan.kinematic_viscosity(point)
@@ -332,7 +332,7 @@ class BasisModel:
 
     @cached_property
     def missed(self) -> dict[str, Quantities]:
-        """What the basis misses of measurements, over its field's error (...) [m/s, Pa].
+        """What the basis misses of measurements, relative to its field's error (...) [m/s, Pa].
 
         Operators that were stored before have no shares; nothing is missed then.
         """

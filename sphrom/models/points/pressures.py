@@ -50,7 +50,7 @@ def pressure_space(
     weights = basis.weights
 
     def pressure_of(densities: Array) -> Array:
-        """Return the pressure less its mean, q (n_snapshots, n_points) [m/s]."""
+        """Return the pressure minus its mean, q (n_snapshots, n_points) [m/s]."""
         means = weighted_mean(densities, weights)
         return points.density_scale * (densities - means[:, None])
 

@@ -34,7 +34,7 @@ from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 STEADY_SHARE = 0.3
-"""Fluctuations of a steady run over the largest ones of training runs; the rest is noise."""
+"""Fluctuations of a steady run relative to the largest ones of training runs; the rest is noise."""
 N_BLOCK_SNAPSHOTS = 16
 """Number of snapshots that are projected at once."""
 
@@ -49,7 +49,7 @@ def stored_model(workspace: Workspace, model: ReducedModelSection) -> TrainedMod
 
 
 def stored_starts(workspace: Workspace) -> Starts | None:
-    """Return the starts that the artifact of operators has, if any."""
+    """Return the starts in the artifact of operators, if it has any."""
     with workspace.open(workspace.operators()) as artifact:
         if "starts/parameters" in artifact:
             return read_record(artifact, Starts, "starts")

@@ -421,7 +421,7 @@ class _Training:
     def _differences(
         self, held_out: Sequence[tuple[ReferenceModel, Array]], complete: Sequence[int]
     ) -> dict[str, Differences]:
-        """Return measurements of full training runs less those of complete held-out ones.
+        """Return measurements of full training runs minus those of complete held-out ones.
 
         They include sound and particle noise, which the model lacks.
         """

@@ -214,7 +214,7 @@ class SurfaceRun(ModelRun):
 
     @cached_property
     def recorded(self) -> dict[str, Quantities]:
-        """The same without coefficients, as full runs record it."""
+        """The measurements without coefficients, as full runs record them."""
         recorded = self.model.workspace.case.scene.recorded
         return {name: self._measure(name, each) for name, each in recorded.items()}
 

@@ -34,7 +34,7 @@ class WallKind:
     viscous_limit: float = 0.22
     """Largest nu dt / (h dx), because velocities are extrapolated from close by."""
     stiffer_at_corners: float = 0.2
-    """Increase of the largest friction rate beside walls at a corner, over its sharpness."""
+    """Increase of the largest friction rate beside walls at a corner, relative to its sharpness."""
 
     @property
     def rule(self) -> type[WallRule]:

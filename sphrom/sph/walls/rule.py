@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from sphrom.sph.point_sums import GhostSums
 
 FELT = 1.5
-"""Distance of the second layer from a wall, over the spacing."""
+"""Distance of the second layer from a wall, relative to the spacing."""
 SHARE_SLOPE = 0.78
 """Integral of the kernel along a line through its centre, times the smoothing length."""
 THIN_SHARE = 0.2
@@ -48,11 +48,11 @@ class WallRule(ABC):
     deeper_at_corners: ClassVar[float] = 0.0
     """Relative increase of the ghosts' depth at a right angle."""
     nearest: ClassVar[float] = 0.5
-    """Least distance from a wall, over the spacing, for the extrapolation of velocities."""
+    """Least distance from a wall, relative to the spacing, for the extrapolation of velocities."""
     closest: ClassVar[float] = 0.25
-    """Least distance from a wall that shifting allows, over the spacing."""
+    """Least distance from a wall that shifting allows, relative to the spacing."""
     touching: ClassVar[float] = 0.5
-    """Distance from a wall at which shifting stops pushing towards it, over the spacing."""
+    """Distance from a wall at which shifting stops pushing towards it, relative to the spacing."""
     adds_heads: ClassVar[bool] = True
     """Whether a body force adds the weight of the fluid in between to the pressure of ghosts."""
 
