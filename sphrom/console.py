@@ -110,7 +110,7 @@ def _new_bars() -> Any:
 
 
 Shown = Callable[[], tuple[str, float | None, str]]
-"""A function that returns the text of a bar, the share done if it is known, and a text beside."""
+"""A function that returns a bar's text, the share done if known, and a text beside the bar."""
 
 
 @contextmanager
@@ -133,7 +133,7 @@ def _bar(shown: Shown) -> Iterator[None]:
 
 
 def show_compiling() -> None:
-    """From now on, show below other bars which function is compiled, and which ones for it."""
+    """From now on, show below other bars the functions that are being compiled."""
     from numba.core import event
 
     class Compiling(event.Listener):

@@ -1,8 +1,8 @@
 """The progress of a command: the share of all its work that is done, and the time left.
 
-Work is measured in seconds of its estimate. Some of it is counted, item by item. Other work runs by
-the clock, ever more slowly where it takes longer than was estimated. The pace is the time that all
-work took until now over its estimate.
+Work is measured in seconds of its estimate. Some work is counted, item by item. The progress of
+other work follows the clock, ever more slowly if it takes longer than estimated. The pace is the
+ratio of the time of all work so far to its estimate.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class StageTime:
 class Progress:
     """How much of all stages is done, in seconds of their estimate, and the time left.
 
-    Work that nothing counts runs by the clock, ever more slowly where it takes longer than was
-    estimated. The pace is the time that all work took until now, over its estimate.
+    The progress of work that is not counted follows the clock, ever more slowly if it takes longer
+    than estimated. The pace is the ratio of the time of all work so far to its estimate.
     """
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class Progress:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count a stage; one that ends early, because artifacts exist, was less work."""
+        """Count a stage; if it ends early because artifacts exist, it was less work."""
         n_stages = len(self.stages)
         place = f"stage {[*self.stages].index(name) + 1} of {n_stages}: " * (n_stages > 1)
         self._title = f"{place}{name}"
@@ -129,7 +129,7 @@ class Progress:
         return (clock.now() - self._start + least) / (reached + least)
 
     def _reached(self) -> float:
-        """Return the work done, with the likely part of that which is not counted yet."""
+        """Return the work done, including a likely part of the item in progress."""
         most = min(self._uncounted + self._ahead, self._end - self._done)
         likely = 0.0
         if most > 0.0:

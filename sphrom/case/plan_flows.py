@@ -186,7 +186,8 @@ class FlowsPlan(PointsPlan):
 
     @property
     def with_weight(self) -> bool:
-        """Whether pressures have a hydrostatic part, which is no flow, and places may fall dry."""
+        """Whether pressures have a hydrostatic part, which is not flow, and places may become
+        dry."""
         return self._scene.has_surface
 
     def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:

@@ -76,7 +76,7 @@ def nearest_point(point: ParameterPoint, known: Iterable[ParameterPoint]) -> Par
 
 
 def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[str, str]:
-    """Return the trained ranges of those parameters of a point that are outside of them."""
+    """Return the trained ranges of the parameters in which a point is outside."""
     points, ranges = [other.as_dict() for other in trained], {}
     for name, value in point.as_dict().items():
         low = min(p[name] for p in points)

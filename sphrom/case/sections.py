@@ -63,8 +63,8 @@ class ShiftingSection(Section):
     )
     transport: Literal["advective", "paper"] = key(
         "advective",
-        "advection by shifting in Eq. 2.6-2.7: differences to neighbours with a particle's own "
-        "shifting velocity, or the terms as printed",
+        "advection by the shifting velocity in Eq. 2.6-2.7: consistent terms, which vanish "
+        "for uniform fields, or the terms as printed",
     )
 
 
@@ -81,7 +81,8 @@ EARLIER_KEYS: Mapping[str, tuple[str, str]] = {
     "printed": ("paper", "paper"),
     "printed-normal": ("paper", "normal"),
 }
-"""The values of the keys `no_slip` and `continuity` of earlier versions that a kind stands for."""
+"""The values of the earlier keys `no_slip` and `continuity`, by the kind of walls that replaces
+them."""
 
 
 class WallSection(Section):
@@ -130,8 +131,8 @@ class DiscretizationSection(Section):
     )
     acoustic_damping: Number = key(
         1.0,
-        "alpha of the acoustic damper, a bulk viscosity of alpha h c0 (Sun et al. 2023); the paper "
-        "has none, 0",
+        "alpha of the acoustic damper, a bulk viscosity of alpha h c0 (Sun et al. 2023); 0 "
+        "as in the paper switches it off",
         unit="-",
         ge=0.0,
         le=10.0,
@@ -304,8 +305,9 @@ class CompareSection(Section):
     line_points: Whole = key(101, "number of points on that line", ge=2, le=100_000)
     grid: Whole = key(
         50,
-        "grid points along the longer side of the scene's box, for fields; in three dimensions "
-        "fewer, so that a cube has about as many as a square",
+        "grid points along the longer side of the scene's box, for fields; a "
+        "three-dimensional grid has fewer along each side, so that a cube has about as many "
+        "points in all as a square",
         ge=2,
         le=2_000,
     )

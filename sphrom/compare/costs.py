@@ -250,7 +250,7 @@ def _computing_seconds(artifact: Artifact) -> float:
 
 
 def break_even(once: float | None, full_seconds: float | None, online_seconds: float) -> int | None:
-    """Return the least number of runs from which a model is cheaper that costs `once` [s] to make.
+    """Return the number of runs from which a model that costs `once` [s] to make is cheaper.
 
     Returns None if it never is, or a cost is unknown.
     """

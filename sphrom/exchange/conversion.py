@@ -42,7 +42,7 @@ COUNT_TOLERANCE = 0.05
 
 
 class Converter:
-    """Reads snapshots, checks them, converts them to the case's units and frame, keeps extremes."""
+    """Reads and checks snapshots, converts them to the case's units and frame, keeps extremes."""
 
     def __init__(self, case: Case, options: ImportOptions, source: Source) -> None:
         self.options = options

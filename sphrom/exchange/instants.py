@@ -38,7 +38,7 @@ Choice = tuple[float, list[Source]]
 
 
 def find_sources(files: Sequence[Path], options: ImportOptions) -> list[Source]:
-    """Return the snapshots in files from the start on, ordered by time after the start [s].
+    """Return the snapshots in files since the start, ordered by time after the start [s].
 
     Raises CaseError when neither the files nor --time-step provide times, or fewer than two
     snapshots remain; ArtifactError when a file can't be read, or two have the same time.

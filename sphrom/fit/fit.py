@@ -399,7 +399,7 @@ def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
 
 
 def _about_the_search(box: studies.Box, likely: Sequence[Minimum], shares: Array) -> Iterator[str]:
-    """Yield warnings about minima that the noise can't distinguish from the first, the fit."""
+    """Yield warnings about other minima that the noise can't distinguish from the fit."""
     best = likely[0]
     if not best.converged:
         yield "the search has not converged: chi^2 may have a lower minimum"

@@ -119,7 +119,8 @@ def flow_at(source: Array, columns: Any) -> Flow:
 
 @inlined
 def derived_at(fields: Array, first: int, columns: Any) -> Derived:
-    """Return derived fields, whose rows begin with the first one, of a source or a slice."""
+    """Return the derived fields in the rows from `first` on, of one source or of a slice of
+    them."""
     return Derived(
         fields[first, columns],
         fields[first + 1, columns],

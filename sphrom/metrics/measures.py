@@ -46,7 +46,7 @@ Measured = Mapping[str, Quantities]
 """Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 
 TORQUE = 2
-"""The row of the torque in a plane, after the components of the force; none in space."""
+"""The row of the torque in a plane, after the force's components; none in three dimensions."""
 TIME_TOLERANCE = 1e-9
 """Times that differ by less than this are treated as equal [s]."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -102,7 +102,7 @@ class FlowRate(SegmentMeasure):
 
     @staticmethod
     def through(ends: Array, longest: float) -> FieldMeasure:
-        """Return the flow rate through a segment, or through a rectangle in space.
+        """Return the flow rate through a segment, or in three dimensions through a rectangle.
 
         Its opposite corners (2, 3) [m] are equal along one axis.
         """

@@ -91,7 +91,7 @@ MEASURABLE: Mapping[str, Quantity] = {
 }
 """All measured quantities by name."""
 OF_WALLS = ("force", "torque")
-"""Loads, the components of which are recorded as those of pressure and of viscosity."""
+"""Loads, recorded as separate parts due to pressure and due to viscosity."""
 FROM_FIELDS = tuple(name for name, quantity in MEASURABLE.items() if quantity.of_field)
 """Quantities that are linear in velocity or pressure."""
 IN_FLUID = tuple(name for name in MEASURABLE if name not in (*OF_WALLS, COEFFICIENT))

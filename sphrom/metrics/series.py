@@ -233,14 +233,14 @@ def _slope(abscissa: Array, ordinate: Array) -> float:
 N_RECORDS, N_IN_RECORD, N_SCALES = 64, 256, 36
 """Records of a signal at each scale, their samples, and the scales, each half of the one before."""
 FEWEST_TURNS, MOST_TURNS = 8, 64
-"""Turns of a record that show an oscillation: four periods at least, and eight samples a period."""
+"""Turning points that show an oscillation: at least four periods, with eight samples in each."""
 LEAST_CHANGE = 0.01
 """Smallest change between samples that counts, relative to the largest absolute value of the
 signal."""
 STENCIL, N_HALVINGS = (-1.0, -0.5, 0.0, 0.5, 1.0), 40
 """Places that the search for a peak compares, and the number of halvings of their distance."""
 POLE = 1e4
-"""Growth of a peak, from samples to the end of that search, that only a pole has."""
+"""Growth of a peak during that search, from which it must be a pole."""
 N_PEAKS = 256
 """Largest number of peaks that are searched."""
 

@@ -76,7 +76,7 @@ class Limit:
 
 
 def best_name(basis: str, n_modes: int) -> str:
-    """Return the name of the projection of full runs onto so many modes of a basis."""
+    """Return the name of the projection of full runs onto a number of modes of a basis."""
     return f"{BEST}, {basis} M={n_modes}"
 
 
@@ -228,7 +228,8 @@ def basis_used(
 
 
 class Model(ABC, Generic[At]):
-    """One reduced model, at any parameters. If training runs choose its size, runs know it."""
+    """One reduced model, at any parameters. If training runs choose its size, its runs have that
+    size."""
 
     def __init__(
         self, workspace: Workspace, section: ReducedModelSection, stored: Any = None
@@ -323,7 +324,7 @@ class ModelRun(ABC):
     correction: Array | None = None
     """(n_snapshots, n_modes) part of the coordinates that training runs add, if there is one."""
     ended: str | None = None
-    """Why the run ended early; None if it did not."""
+    """The reason why the run ended early; None if it did not."""
 
     @property
     def name(self) -> str:
@@ -418,10 +419,10 @@ class ModelRun(ABC):
 
     @property
     def unlike_training(self) -> tuple[str, ...]:
-        """How far the states of a run are from all of those in training, where that is known."""
+        """A sentence on the distance of the run's states from all training states, if known."""
         return ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Why a completed run may be wrong, as far as is known without a full run."""
+        """Reasons why a completed run may be wrong, as far as known without a full run."""
         return (*self.outside, *self.unlike_training)

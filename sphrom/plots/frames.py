@@ -1,4 +1,4 @@
-"""Frames of pictures: a part of the plane, or slices of a box in space, as pixels."""
+"""Frames of pictures: a part of the plane, or slices of a three-dimensional box, as pixels."""
 
 from __future__ import annotations
 

@@ -201,10 +201,11 @@ def draw_grid(
 ) -> Figure:
     """Return a figure with rows of panels; pictures need a frame.
 
-    With `scales`, pictures with equal labels share a scale and a colour bar; `scales` has ranges by
-    label, such as those of the full run, which scales exceed at most by `BEYOND`. Without `scales`,
-    each picture has its own. Curves have one legend below, or one per panel if they differ or are
-    next to pictures, like the panel `beside` all rows. Raises ValueError without panels.
+    With `scales`, pictures with equal labels share a scale and a colour bar; `scales` has a range
+    for each label, such as that of the full run, and a scale exceeds its range by at most `BEYOND`.
+    Without `scales`, each picture has its own scale. Curves have one common legend below, or one
+    per panel if the curves differ or stand beside pictures, as in the panel `beside` all rows.
+    Raises ValueError without panels.
     """
     longest = [*max(rows, key=len, default=()), *([] if beside is None else [beside])]
     if not longest:

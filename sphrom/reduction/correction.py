@@ -208,7 +208,7 @@ def learn_correction(
 def interpolated(
     places: Array, defects: Array, groups: Sequence[Indices] = ()
 ) -> Correction | None:
-    """Return the interpolation of defects, however poorly training runs predict each other's.
+    """Return the interpolation of defects, even if training runs predict each other's poorly.
 
     That of a single run is constant. Parameters: see `learn_correction`.
     """

@@ -49,7 +49,7 @@ GRAVITY_STEPS, CLOSURE_STEPS = 3, 2
 N_CLOSED = 2
 """Numbers of elevation modes with which a closure is tried."""
 DIFFERENCE = 1e-4
-"""Of the numbers, for derivatives of runs."""
+"""Step of the numbers, for derivatives of runs."""
 MOST_GROWTH = 1e-6
 """Of small waves about the fluid at rest, relative to the fastest frequency."""
 
@@ -275,7 +275,8 @@ class _Fit:
         return _Fit(self.projected, numbers)
 
     def _differences(self, given: Array) -> Array:
-        """Return relative differences (n_given, n) of runs from training runs, each number's."""
+        """Return the relative differences (n_given, n) from training runs, for runs with given
+        numbers."""
         changes, out = [self.change(numbers) for numbers in given], []
         for one in self.projected:
             sizes = np.ones(len(self.scale))

@@ -316,7 +316,7 @@ DIVERGED = 1e6
 NEARER = 0.5
 """Distance of predictions from training runs, relative to that of held-out runs."""
 CLOSE = 1.1
-"""Velocity's error, relative to the least one, up to which more integrated modes are preferred."""
+"""Velocity error, relative to the least one, up to which more integrated modes are preferred."""
 ALIKE = 1.03
 """Product of errors, relative to the least one, up to which fewer modes are as good."""
 

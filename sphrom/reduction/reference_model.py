@@ -52,7 +52,8 @@ class ReferenceModel:
     states: Array | None = None
     """(n_states, n_modes) training states; steps must be stable around them and the start."""
     linear: LinearPart | None = None
-    """Of exponential steps, a Jacobian at training states; without it, steps are Runge-Kutta's."""
+    """Linear part of exponential steps, a Jacobian at training states; None for Runge-Kutta
+    steps."""
     longest_step: float = math.inf
     """The longest step that resolves the amplitude [s]."""
     first_step: float | None = None

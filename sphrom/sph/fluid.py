@@ -32,7 +32,7 @@ Factors = Mapping[str, float]
 NONE: Factors = MappingProxyType({})
 """No parameter differs from the scene's value."""
 RISE, FALL = 0.3, 0.1
-"""Shares of a strip's width over which lambda rises, where fluid enters, and falls."""
+"""Shares of a strip's width over which lambda rises (where fluid enters) and falls."""
 
 Rates = Callable[[Array], Array]
 """Return rates (n_positions,) at positions (2, n_positions) [m] in the box."""

@@ -127,7 +127,7 @@ class Places:
     def peak(self, size: Callable[[Array], Array]) -> tuple[float, Array]:
         """Return the largest value of a field in the fluid, and its place (2,) [m].
 
-        Peaks narrower than the distance between samples are found from their feet.
+        A peak narrower than the distance between samples is found by a search from its flanks.
         """
         lengths = np.array(self._domain.lengths)
 

@@ -1,4 +1,4 @@
-"""The runs of a sweep, one model at one parameter point after the other, and their records.
+"""The runs of a sweep (one model at many parameter points), and their records.
 
 A run is bit for bit equal to the run of its model's stage. Full runs, and reduced runs on
 particles, write trajectories as in those stages; runs on the reference points write none. The

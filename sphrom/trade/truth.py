@@ -25,7 +25,7 @@ from sphrom.trade.candidates import extreme, make_runs, of_full_model, variant_o
 from sphrom.trade.stability import Errors, ExtremeRun
 
 SPARSER = 10
-"""A longer full run keeps at most one in so many snapshots, and at least so many per part."""
+"""A longer full run keeps one in at most so many snapshots, and at least so many per part."""
 
 
 @dataclass(frozen=True)

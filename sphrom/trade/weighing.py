@@ -68,7 +68,7 @@ class RunRow:
     model: str
     parameters: str
     role: str
-    """`trained` at a value that a basis learnt from, `predicted` between, else `extrapolated`."""
+    """`trained` at training values of its basis, `predicted` between them, else `extrapolated`."""
     status: str
     time_step: float = field(metadata=SECONDS)
     seconds: float | None = field(metadata=SECONDS)
@@ -376,7 +376,7 @@ def recommend(
 
 
 def _cheapest(rows: Sequence[ModelRow], used: Mapping[str, float]) -> ModelRow | None:
-    """Return the first to pay off of the fastest models that no alternative beats, or None."""
+    """Of the fastest models that no alternative beats, return the first to pay off, or None."""
     timed = [(s, r) for r in rows if r.beaten_by is None and (s := r.online_seconds) is not None]
     most = (1.0 + SCATTER) * min((seconds for seconds, _ in timed), default=0.0)
     alike = (row for seconds, row in timed if seconds <= most)

@@ -124,7 +124,7 @@ class Outcome:
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """Those of LIMITED with columns in the table."""
+        """The quantities of LIMITED that have columns in the table."""
         return tuple(dict.fromkeys((*QUANTITIES, *(LIMITED[k] for k in self.section.fields))))
 
     @property

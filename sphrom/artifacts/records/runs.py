@@ -309,7 +309,7 @@ class SurfaceErrorEstimate(Record):
 
 
 class ErrorEstimate(SurfaceErrorEstimate):
-    """The same with a residual, and changes since training."""
+    """The estimated errors of a run, with a residual and changes since training."""
 
     change: Array = dataset(
         "snapshot cause",

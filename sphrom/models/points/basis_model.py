@@ -1,6 +1,5 @@
-"""A model from operators with one basis: its equations and starts at any parameter point.
-
-All that training runs determine is in its record (`sphrom.reduction.trained_basis`).
+"""A model from operators with one basis: its equations and starts at any parameter point. Its
+record (`sphrom.reduction.trained_basis`) has everything that training runs determine.
 """
 
 from __future__ import annotations
@@ -332,7 +331,7 @@ class BasisModel:
 
     @cached_property
     def missed(self) -> dict[str, Quantities]:
-        """What the basis misses of measurements, relative to its field's error (...) [m/s, Pa].
+        """The part of measurements that the basis misses, relative to its field's error (...).
 
         Operators that were stored before have no shares; nothing is missed then.
         """
@@ -399,7 +398,7 @@ class BasisModel:
 
 
 def _learnt(correction: Correction | None, place: Array, held_out: bool) -> Array | None:
-    """Return a correction at a place; for a training run, from the other runs only."""
+    """Return a correction at a place; at a training point it comes from the other runs only."""
     if correction is None:
         return None
     return correction.held_out(place) if held_out else correction.at(place)

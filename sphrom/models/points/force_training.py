@@ -1,4 +1,4 @@
-"""Forces on walls of a model in training: their pressure, chosen, and their corrections.
+"""The training of a model's forces on walls: the choice of their pressure, and corrections.
 
 The pressure part of a load follows from the balance of momentum or the joint pressure
 (`sphrom.reduction.reduced_measures`). If the model has pressure modes of its own, the sum over the

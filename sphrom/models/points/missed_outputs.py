@@ -1,4 +1,4 @@
-"""What bases miss of measurements, from recorded training runs that are left out of them."""
+"""The parts of measurements that bases miss, from training runs that are left out of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The list of wall rules, with the facts that a case needs before the code of a rule is loaded."""
+"""The list of wall rules, with their properties that cases need before loading their code."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ FELT = 1.5
 SHARE_SLOPE = 0.78
 """Integral of the kernel along a line through its centre, times the smoothing length."""
 THIN_SHARE = 0.2
-"""Of the kernel's sum, from which ghosts below thin fluid count fully."""
+"""Share of the kernel's sum from which ghosts below thin fluid have full weight."""
 
 
 class WallRule(ABC):
@@ -201,7 +201,8 @@ class WallRule(ABC):
         return wall
 
     def slipping(self, mean: Array, wall: Array) -> Array:
-        """Return the same where fluid slips freely: the part across the wall is reversed."""
+        """Return the ghosts' velocity where fluid slips freely: the part across the wall is
+        reversed."""
         if self.walls.normal is None:
             into_fluid = self._into_fluid
             return mean - 2.0 * np.sum((mean - wall) * into_fluid, axis=0) * into_fluid
@@ -261,9 +262,9 @@ class WallTerms:
     means: Array
     """The fields that ghosts took from the fluid, by `WallRule.interpolated`."""
     fits: Array
-    """The rule's fits, from there, too."""
+    """The rule's fits, also from `WallRule.interpolated`."""
     search: Search
-    """With which ghosts search the fluid."""
+    """The cells in which ghosts search the fluid."""
 
     distance: Array = field(init=False)
     """(n_targets,) of the particles from walls [m]."""
