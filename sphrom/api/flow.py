@@ -15,7 +15,7 @@ from sphrom.signals import guarded
 from sphrom.sph.terms import Term
 
 VECTORS = ("body_force", "velocity")
-"""Keys with as many components as the box, which one function may give."""
+"""Keys of vectors, all components of which a single function may return."""
 
 
 class Flow(dict[str, Any]):

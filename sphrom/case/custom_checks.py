@@ -104,7 +104,7 @@ def parameter_problems(scene: CustomScene, names: Collection[str]) -> Found:
     varied = [name for name in names if name in scene.constants]
     slowed = driving.expression("resistance", scene.resistance, *scene.axes)
     for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
-        yield name, "resistance depends on it, which no parameter changes"
+        yield name, "resistance depends on it, but parameters can't change resistance"
     for key, timed in driving.timed():
         for name in varied:
             if any(time.degree_in([name]) > 0.0 for _, time in timed.read()):

@@ -22,7 +22,7 @@ from sphrom.metrics.grids import midpoints
 from sphrom.reduction.stream_functions import StreamSpace
 
 MOST_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
-"""Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
+"""Splines of a tank: cells along it and along the depth, and smallest cell in spacings."""
 COLUMNS_A_CELL = 4
 """Number of columns in each cell of the splines in which the surface is searched."""
 HIGHEST_CREST = 1.6

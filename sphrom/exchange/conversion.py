@@ -35,8 +35,8 @@ ROUNDING = 1e-6
 MOST_SPEED = 5.0
 """Speed relative to that of the scene, above which the unit is probably wrong."""
 MOST_EMPTY, EMPTY = 0.01, 2.0
-"""Largest share of a box in space that is empty, and distance of its places from the nearest
-particle, over the spacing."""
+"""Largest empty share of a three-dimensional box, and the distance from the nearest particle, in
+spacings, at which a place counts as empty."""
 COUNT_TOLERANCE = 0.05
 """Relative tolerance of the number of particles: programs fill edges differently."""
 

@@ -47,7 +47,7 @@ class Followed:
     """Where the change at first is compared."""
     last: int
     kept: dict[int, tuple[float, Snapshot]] = field(default_factory=dict)
-    """The snapshots with their times [s], and the first one of the run."""
+    """The snapshots with their times [s], including the first one of the run."""
 
     @classmethod
     def of(cls, case: Case, interpolated: Sequence[bool]) -> Followed:

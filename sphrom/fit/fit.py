@@ -105,7 +105,7 @@ class Fit(records.Fit):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The free parameters, in the order of the axes of matrices."""
+        """The free parameters, in the order of the rows and columns of matrices."""
         return tuple(self.parameter_names.split(","))
 
     @property

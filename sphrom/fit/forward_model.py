@@ -41,7 +41,7 @@ TrainingDifferences = dict[Hashable, tuple[Array, Array]]
 """Differences in training runs with the sizes of errors, by basis and histories, for all fits."""
 
 DIFFERENCE = 1e-3
-"""Of the place, from which derivatives of models without sensitivities follow."""
+"""Difference of places from which derivatives of models without sensitivities follow."""
 FINER = 2
 """Number of steps relative to that of the finest run; all parameters use the same number."""
 

@@ -47,11 +47,11 @@ class Derived(NamedTuple):
     """The results of the first sweep that the second one needs."""
 
     pressure: Any
-    """Over c0^2 [kg/m3], with that of the damper."""
+    """Pressure, with that of the damper, divided by c0^2 [kg/m3]."""
     viscous: Any
     """c of the Laplacian."""
     gradient: Vector
-    """Of the density [kg/m4]."""
+    """Gradient of the density [kg/m4]."""
 
 
 class BesideWalls(NamedTuple):

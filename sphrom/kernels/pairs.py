@@ -20,7 +20,7 @@ TINY = 1e-30
 
 @term
 def slope_weight(offset: Vector, volume: float, inverse_length: float) -> float:
-    """Return G = F V_j, which is the kernel's gradient times the volume over the offset."""
+    """Return G = F V_j, so that G times the offset is the kernel's gradient times the volume."""
     distance = math.sqrt(dot(offset, offset))
     return gradient_factor(distance, inverse_length, len(offset)) * volume
 

@@ -112,7 +112,7 @@ class History:
     time: Array
     """(n_snapshots,) [s]"""
     places: Mapping[str, Series]
-    """By PLACES."""
+    """The errors over time, by PLACES."""
     without_sound: Mapping[str, Series] = field(default_factory=dict)
     """Errors of pressures averaged over time, by `pressure_field` and `pressure_line`.
 

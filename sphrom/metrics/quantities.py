@@ -27,7 +27,7 @@ class Quantity:
     """A measured quantity."""
 
     unit: str
-    """In a plane, where forces and flow rates are per metre of depth."""
+    """The unit in a plane, where forces and flow rates are per metre of depth."""
     meaning: str
     symbol: str = ""
     equation: str = ""
@@ -42,7 +42,7 @@ class Quantity:
     about_mean: bool = False
     """Whether its errors are relative to how it varies over time."""
     in_space: str | None = ""
-    """Its unit in three dimensions if another one, or None if it is only measured in a plane."""
+    """The unit in three dimensions if it differs; None if only measured in a plane."""
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -38,8 +38,8 @@ TOO_CLOSE = "it lies within the range of onset estimates: the flow may oscillate
 NO_OSCILLATION = "fewer than three periods of an oscillation"
 """Why a record has no frequency and no amplitude."""
 AT_REST, SETTLED, LEAST_SETTLED = 0.05, 1e-3, 0.1
-"""Of a driving that grows from zero: its first value and its deviation when it is settled, relative
-to the final value, and the least share of the time in which it is settled."""
+"""For a driving that grows from zero: largest first value, and largest deviation when settled, both
+relative to the final value, and smallest share of the time in which it is settled."""
 UNIFORM_TOLERANCE = 1e-3
 """Largest relative difference between the intervals of a record."""
 

@@ -29,9 +29,10 @@ class ErrorEstimate:
     pressure: Array = field(repr=False)
     """(n_snapshots,) root mean square error of the pressure minus its mean [Pa]."""
     velocity_percent: float
-    """Over the whole run, relative to the root mean square of its velocity [%]."""
+    """Velocity error over the whole run, relative to the velocity's root mean square [%]."""
     pressure_percent: float
-    """Over the whole run, relative to the root mean square of its pressure minus its mean [%]."""
+    """Error over the whole run of the pressure minus its mean, relative to its root mean square
+    [%]."""
     extrapolated: bool
     """Whether the run is outside the trained parameters or times."""
     residual: Array | None = field(repr=False, default=None)

@@ -37,7 +37,7 @@ class LimitCycle:
     frequency: float
     """omega [rad/s]."""
     harmonics: Harmonics
-    """Of the coordinates."""
+    """Harmonics of the coordinates."""
 
     @property
     def states(self) -> Array:

@@ -38,7 +38,7 @@ from sphrom.reduction.surface_basis import (
 )
 
 STEPS_A_PERIOD = 24
-"""Of the fastest mode of the elevation."""
+"""Steps in a period of the fastest elevation mode."""
 STEEPEST, LEAST_DEPTH = 1.0, 0.05
 """The largest slope of a run, unless training is near it, and the least depth over the mean depth.
 The highest standing wave has a crest of 90 degrees (Penney and Price, Phil. Trans. A 244, 1952)."""
@@ -65,7 +65,7 @@ class GraphRun:
     end_time: float = math.nan
     """[s]"""
     end_place: float = math.nan
-    """Along x [m]."""
+    """Place x at which the run ended [m]."""
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ N_CLOSED = 2
 DIFFERENCE = 1e-4
 """Step of the numbers, for derivatives of runs."""
 MOST_GROWTH = 1e-6
-"""Of small waves about the fluid at rest, relative to the fastest frequency."""
+"""Largest growth rate of small waves about fluid at rest, over the fastest frequency."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class _Projected:
     coordinates: Array
     """(n_snapshots, n_modes + n_surface)."""
     products: tuple[Array, Array, Array]
-    """Of velocities, for the model's modes."""
+    """Products of velocities, for the model's modes."""
     cosines: Array
     """(n_snapshots, n_cosines) amplitudes of the elevation [m]."""
     level: Array

@@ -65,7 +65,7 @@ class SnapshotProducts:
     fields: tuple[Array, Array]
     """Means over the fluid: of the velocities, and of q minus its mean [m2/s2]."""
     states: Array
-    """In the inner product of whole states, which defines the modes."""
+    """Products of whole states in the inner product that defines the modes."""
     means: Array
     """(n_snapshots,) mean density fluctuations of snapshots whose states have none, else zeros."""
 

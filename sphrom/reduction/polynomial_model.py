@@ -51,7 +51,7 @@ class OutputTimes:
     start_time: float = 0.0
     """[s]."""
     largest_norm: float = 1e100
-    """Of the coordinates; a run with a larger norm has diverged."""
+    """Largest norm of the coordinates; a run with a larger norm has diverged."""
     trained: float = math.inf
     """Duration for which the limit holds [s]; it grows in proportion for longer runs."""
 

@@ -44,7 +44,7 @@ class ReferenceModel:
     mean_density_fluctuation: float = 0.0
     """The separate mean [kg/m3]."""
     amplitude: polynomial_model.Amplitude | None = None
-    """Of the body force or of driven walls, if it changes."""
+    """The amplitude of the body force or of driven walls, if it changes with time."""
     closure: Polynomial | None = None
     """The part of the polynomial that a closure or calibration added to the projected rates."""
     memory_length: float | None = None

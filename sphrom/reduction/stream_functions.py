@@ -21,7 +21,7 @@ from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute
 
 DEGREE = 4
-"""Of the splines."""
+"""Degree of the splines."""
 SMOOTHING = 1.25e-7
 """Weight of the penalty, relative to the square of the box's area."""
 

@@ -16,7 +16,7 @@ from sphrom.reduction.stream_functions import StreamSpace, cosine_coordinates
 from sphrom.reduction.surface_errors import SurfaceErrors
 
 N_COLUMNS, N_HEIGHTS = 24, 6
-"""Of the points of integration."""
+"""Numbers of columns of integration points, and of points in each."""
 SURFACE_VARIANCE = 1e-6
 """Share of the elevation's variance that its modes leave out."""
 SLOPE_BEYOND_TRAINING = 1.5
@@ -161,7 +161,7 @@ class TrainedGraph(Record):
 
     @property
     def error(self) -> float:
-        """Of elevation and velocity together, calibrated."""
+        """Error of elevation and velocity together, with calibration."""
         return float(np.hypot(self.elevation_error, self.velocity_error))
 
 

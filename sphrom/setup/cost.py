@@ -56,8 +56,8 @@ SECONDS_PER_NEIGHBOUR = 3e-8
 GHOST = 4.5
 """The cost of a ghost, including the terms of walls, relative to that of a particle."""
 AT_NO_MODE, EACH_MODE = 1.1, (4.5, 0.8)
-"""A Galerkin step's cost over the full model's: without modes, and that of polyharmonic splines at
-no mode and for each, over the root of the number of neighbours."""
+"""Cost of a Galerkin step relative to a full step: without modes; and of polyharmonic splines at no
+mode and for each mode, both divided by the root of the number of neighbours."""
 B_SPLINES = (0.92, 0.053)
 """The same cost with B-splines, at no mode and for each. All measured in processor time at 48
 neighbours (80x80, lid-driven cavity) and 200 (150x150, Taylor-Green), M = 5 to 30."""

@@ -23,7 +23,7 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.arrays import Array, Indices, Mask
 
 Lengths = tuple[float, ...]
-"""Of the box, along x and y [m]."""
+"""Lengths of the box along x and y [m]."""
 Periodic = tuple[bool, ...]
 
 ROUNDING = 1e-9

@@ -45,7 +45,7 @@ class Watch:
     drive_speed: float = 0.0
     """The largest speed of walls and inflow [m/s]."""
     gravity: float = 0.0
-    """Along -y [m/s2]; `force` contains it."""
+    """Gravity along -y [m/s2]; `force` includes it."""
     force: Callable[[Array, float], Array] | None = None
     _: KW_ONLY
     is_driven: bool = True

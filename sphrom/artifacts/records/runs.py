@@ -346,7 +346,7 @@ class Steady(Record):
     )
     residual_left_out: float | None = attribute(
         "of the inner product, /s",
-        "norm of the residual of the full rates there",
+        "norm of the residual of the full rates in the steady state",
         default=None,
     )
     velocity_error_estimate: float | None = attribute(
@@ -356,7 +356,9 @@ class Steady(Record):
         "Pa", "estimated root mean square error of the pressure", default=None
     )
     n_steps: int = attribute("", "steps of Newton's method")
-    largest_real_part: float = attribute("1/s", "largest real part of the spectrum there")
+    largest_real_part: float = attribute(
+        "1/s", "largest real part of the spectrum in the steady state"
+    )
     measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
 
 
