@@ -124,9 +124,7 @@ def test_models_refuse_terms_that_they_lack(tmp_path) -> None:
         "walls": {"top": {"velocity": [1, 0]}},
         "measure": {"lid": {"force_on": "top"}},
     }
-    with pytest.raises(
-        CaseError, match=r"scene.terms.turn: would be missing in the forces on walls"
-    ):
+    with pytest.raises(CaseError, match=r"scene.terms.turn: would be missing in the forces"):
         study(tmp_path, rom=fast, terms={"turn": TURN}, **keys)
     tank = {"box": {}, "fluid": {"level": 0.5}, "slip": "free"}
     with pytest.raises(CaseError, match=r"scene.terms: is not for reduced models of a free surf"):

@@ -300,9 +300,8 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
     with report.stage(PICTURE_OF_ALL):
         save(draw_trade(results), folder / "trade.png")
     report.table(
-        f"speed against accuracy: {measure.words} in %, overall / at the worst time, "
-        "pressure minus its "
-        f"mean{'; in brackets the estimated error' if measure.measured else ''}; "
+        f"speed against accuracy: {measure.words} in %, overall / at the worst time, pressure "
+        f"minus its mean{'; in brackets the estimated error' if measure.measured else ''}; "
         f"{ON_FRONT} marks the Pareto front of seconds and this error; `no better than` names an "
         f"alternative that is as fast and as accurate; dt is the case's time step; {seconds}",
         (
@@ -341,9 +340,8 @@ def timed_words(case: Case) -> str:
     """Describe the measurement of the seconds of a run."""
     spin_up = "; the spin-up counts only as offline time of training runs"
     return (
-        f"online is the time of a run of {case.plan.recorded_time:g} s on one thread, "
-        "without reading and writing, the shortest of "
-        f"{counted(case.trade.repeats, 'time')}; full runs are "
+        f"online is the time of a run of {case.plan.recorded_time:g} s on one thread, without "
+        f"reading and writing, the shortest of {counted(case.trade.repeats, 'time')}; full runs are "
         f"timed over {N_TIMED_STEPS} steps, and the case's own has its largest stable step"
         f"{spin_up if case.time.spin_up > 0.0 else ''}"
     )
