@@ -9,7 +9,7 @@ import re
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from importlib import import_module
 from inspect import signature
@@ -139,9 +139,13 @@ def run_all(context: StageContext, until: str | None = None) -> None:
 
     Raises CaseError when there is no such stage.
     """
+    from sphrom.store.workers import compiled_ahead
+
     unstable: UnstableError | None = None
     stages = _needed(context.case, until)
-    with _whole(replace(context, keep_valid=True), stages, {}) as context:
+    has_listed = "operators" in stages and context.case.scene.domain.n_dim == 2
+    ahead = compiled_ahead() if has_listed else nullcontext()
+    with ahead, _whole(replace(context, keep_valid=True), stages, {}) as context:
         for stage in stages:
             started = time.monotonic()
             before = len(context.known.written)

@@ -60,6 +60,8 @@ MARGIN = 0.2
 """Margin around points for their names, relative to the axes."""
 APART = (0.2, 0.05)
 """Least distance between the names of points, horizontal or vertical, relative to the axes."""
+RIGHT = 0.7
+"""Place relative to the axes beyond which names are on the left of their points."""
 ON_FRONT = "*"
 """Mark of an error that no model reaches in less time."""
 HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")
@@ -157,12 +159,8 @@ class _Trade:
             unstable = make_runs(made, label, list(self.full))
             workspace = made.workspace
             step = variant.plan.steps.time_step
-            described = {
-                "model": label,
-                "role": "full",
-                "time_step": step,
-                "seconds": None if unstable else self._full_seconds(workspace, step),
-            }
+            seconds = None if unstable else self._full_seconds(workspace, step)
+            described = {"model": label, "role": "full", "time_step": step, "seconds": seconds}
             runs = []
             for point in self.full:
                 samples = None if point in unstable else self._sampled(workspace, point)
@@ -399,7 +397,8 @@ def draw_trade(results: Results) -> Figure:
                 last = at
                 name = row.model.removeprefix(f"{row.family}, ")
                 where: Any = {"textcoords": "offset points", "fontsize": 7.5}
-                axes.annotate(name, (seconds, error), (4, 4), **where)
+                way, side = (-1, "right") if at[0] > RIGHT else (1, "left")
+                axes.annotate(name, (seconds, error), (4 * way, 4), ha=side, **where)
     return figure
 
 
