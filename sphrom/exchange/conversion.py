@@ -145,7 +145,7 @@ class Converter:
         empty = float(np.mean(KDTree(position).query(places)[0] > EMPTY * spacing))
         if empty > MOST_EMPTY:
             raise CaseError(
-                f"{foreign.path}: {100.0 * empty:.2g} % of the box have no particles. In three "
+                f"{foreign.path}: {100.0 * empty:.2g} % of the box has no particles. In three "
                 "dimensions fluid fills a box without solids; free surfaces, solids and bodies are "
                 "not modelled. Name the particles of the fluid with --array, or choose scene.box "
                 "so that they fill it"

@@ -339,7 +339,7 @@ def timed_words(case: Case) -> str:
     spin_up = "; the spin-up counts only as offline time of training runs"
     return (
         f"online is the time of a run of {case.plan.recorded_time:g} s on one thread, without "
-        f"reading and writing, the shortest of {counted(case.trade.repeats, 'time')}; full runs are "
+        f"reading and writing, the least of {counted(case.trade.repeats, 'time')}; full runs are "
         f"timed over {N_TIMED_STEPS} steps, and the case's own has its largest stable step"
         f"{spin_up if case.time.spin_up > 0.0 else ''}"
     )
