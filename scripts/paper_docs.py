@@ -3,7 +3,9 @@
 `docs/paper/<scene>.md` has the claims as a table from `<scene>.csv`, the costs as one from
 `<scene>-costs.csv`, the reasons for differences, the figures as small pictures, and the time taken.
 `<scene>.json` says how each reading was made. If only one reading was run, pictures and columns of
-the other one stay.
+the other one stay. Without runs, pages follow what the folder has and the present reasons:
+
+    python scripts/paper_docs.py docs/paper
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import sys
 from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,9 +21,11 @@ from typing import Any
 import paper_page
 from small_picture import write_small
 
+from sphrom.case.loader import load_case
 from sphrom.compare.figures import FOLDER
 from sphrom.plots.tables import MISSING, format_figure, read_json
 
+CASES = Path(__file__).parent.parent / "cases"
 TITLES = {
     "taylor-green": "Taylor-Green vortex",
     "lid-driven-cavity": "Lid-driven cavity",
@@ -63,6 +68,14 @@ def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: 
     made |= {run.reading: _origin(run, command) for run in runs}
     made = {reading: made[reading] for reading in COLUMNS if reading in made}
     origins.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+    return write_page(folder, scene, made)
+
+
+def write_page(folder: Path, scene: str, made: Mapping[str, Mapping[str, str]]) -> Path:
+    """Write the page of a scene from the tables and pictures in a folder, and return its path.
+
+    `made` says by reading how they were made.
+    """
     lines = [
         f"# {TITLES[scene]}: the paper, and here",
         "",
@@ -78,7 +91,7 @@ def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: 
         *_readings(scene),
         "## Figures",
         "",
-        *_figures(folder, scene, runs, made),
+        *_figures(folder, scene, made),
         "## How it was made",
         "",
         *_made(made),
@@ -141,11 +154,9 @@ def _picture(scene: str, figure: str, reading: str) -> str:
     return f"{scene}-{figure}-{reading.replace(' ', '-')}.png"
 
 
-def _figures(
-    folder: Path, scene: str, runs: Sequence[Any], made: Mapping[str, Mapping[str, str]]
-) -> Iterator[str]:
+def _figures(folder: Path, scene: str, made: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
     """Yield each figure by its number, from both cases, with the size and the command."""
-    for figure in runs[0].case.compare.figures:
+    for figure in load_case(CASES / f"{scene.replace('-', '_')}.yaml").compare.figures:
         names = {reading: _picture(scene, figure.name, reading) for reading in made}
         names = {reading: name for reading, name in names.items() if (folder / name).is_file()}
         if names:
@@ -178,3 +189,9 @@ def _origin(run: Any, command: str) -> dict[str, str]:
     by = f"{about['software']}, compared {about['date']}, {threads}"
     hours = paper_page.hours_of_steps(run.case, tables)
     return {**origin, "made": f"{by}. Wall-clock of the stages [s]: {taken}. {hours}".rstrip()}
+
+
+if __name__ == "__main__":
+    for name in TITLES:
+        origins = Path(sys.argv[1]) / f"{name}.json"
+        print(write_page(origins.parent, name, json.loads(origins.read_text(encoding="utf-8"))))
