@@ -56,8 +56,9 @@ CAPTION = (
     "the lead over the full run in periods, least to largest. Shares as printed are of stacked "
     "density and velocities; corrected shares are of the acoustic product, which leaves out the "
     "mean density. The compression is N_d / M, with five values for each particle. Words instead "
-    "of numbers describe the figures of the documentation. The rows of full runs are additions: "
-    "the paper does not give their errors."
+    "of numbers describe the figures of the documentation. A dash stands where nothing can be "
+    "compared or nothing was measured. The rows of full runs are additions: the paper does not "
+    "give their errors."
 )
 COSTS = "model|modes|its step [s]|full run's step [s]|model [s]|full run [s]|speed-up|its range"
 COST_COLUMNS = ["reduced_step", "full_step", "reduced_seconds", "full_seconds", "speed_up"]
