@@ -201,8 +201,10 @@ def _error(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
         series = result.comparison.errors(run, point)
         if series is None or series.status != "complete":
             time, _ = result.comparison.discrepancy(run, point, claim["quantity"], "field")
-            unstable.append(f"{time[-1]:.3g} s" if len(time) else "the start")
-    after = [f"unstable after {', '.join(dict.fromkeys(unstable))}"] if unstable else []
+            begins = result.case.compare.from_time or 0.0
+            end = f"after {time[-1]:.3g} s" if len(time) else f"before {begins:g} s"
+            unstable.append(f"unstable {end}")
+    after = [", ".join(dict.fromkeys(unstable))] if unstable else []
     return "; ".join([*after, *_peaks(result, claim, [run] * len(points))]) or MISSING
 
 
