@@ -35,7 +35,7 @@ def _datasets(fields: Iterable[Field]) -> str:
             f"`{f.name}`",
             f"({', '.join(f.axes)})",
             f.kind,
-            f.units,
+            _units(f),
             f.symbol,
             f.equation,
             _meaning(f),
@@ -46,8 +46,14 @@ def _datasets(fields: Iterable[Field]) -> str:
 
 
 def _attributes(fields: Iterable[Field]) -> str:
-    rows = [(f"`{f.name}`", " or ".join(f.allowed) or f.kind, f.units, _meaning(f)) for f in fields]
+    rows = [
+        (f"`{f.name}`", " or ".join(f.allowed) or f.kind, _units(f), _meaning(f)) for f in fields
+    ]
     return _table(("attribute", "kind", "units", ""), *rows)
+
+
+def _units(field: Field) -> str:
+    return f"{field.units}, in space {field.in_space}" if field.in_space else field.units
 
 
 def _meaning(field: Field) -> str:

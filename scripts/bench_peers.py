@@ -1,8 +1,9 @@
 """The full model beside PySPH: one right-hand side of the same flow, particles and support.
 
 Installs PySPH from the package registry into an environment of its own (it compiles its sums with a
-C++ compiler, which has to be there), and times right-hand sides of both on one thread, in turns.
-A pair is a particle and another one within its kernel's support. Prints a table and writes JSON.
+C++ compiler, which has to be there), and takes the processor time of right-hand sides of both on
+one thread, in turns. A pair is a particle and another one within its kernel's support. Prints a
+table and writes JSON.
 
     python scripts/bench_peers.py --environment /tmp/pysph
 """
@@ -17,6 +18,7 @@ import sys
 import tempfile
 import time
 import venv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +30,7 @@ from sphrom.kernels.jit import set_threads
 from sphrom.sph.functional import Functional
 
 PEER = Path(__file__).with_name("pysph_taylor_green.py")
+PYSPH = [["pysph", "setuptools"]]
 DIFFERENCES = """What differs:
 - sphrom: delta-plus-SPH; shifting velocities and their terms in continuity and momentum at every
   right-hand side, four of which make a classical Runge-Kutta step. Neighbour lists are kept until a
@@ -40,14 +43,20 @@ DIFFERENCES = """What differs:
   images."""
 
 
-def install(environment: Path) -> Path:
-    """Return the interpreter of an environment with PySPH, made if it isn't there yet."""
+def install(
+    environment: Path, module: str = "pysph", wanted: Sequence[Sequence[str]] = PYSPH
+) -> Path:
+    """Return the interpreter of an environment with a program, made if it isn't there yet.
+
+    `wanted` are the arguments of calls of pip.
+    """
     python = environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     if not python.exists():
         venv.create(environment, with_pip=True)
-    if subprocess.run([python, "-c", "import pysph"], capture_output=True).returncode:
+    if subprocess.run([python, "-c", f"import {module}"], capture_output=True).returncode:
         command = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-        subprocess.run([*command, "pysph", "setuptools"], check=True)
+        for packages in wanted:
+            subprocess.run([*command, *packages], check=True)
     return python
 
 
@@ -73,10 +82,10 @@ def time_ours(functional: Functional, state: np.ndarray, repeats: int, rebuild: 
     taken = []
     for _ in range(repeats):
         if rebuild:
-            functional.neighbourhood.forget()
-        started = time.perf_counter()
+            functional.neighbourhood.rebuild_at(None)
+        started = time.process_time()
         functional(state)
-        taken.append(time.perf_counter() - started)
+        taken.append(time.process_time() - started)
     return float(np.median(taken))
 
 

@@ -5,6 +5,11 @@ part several times, in processes of their own. The least time counts. The compil
 already: the first command on a machine compiles it.
 
     python scripts/bench_startup.py cases/lid_driven_cavity_demo.yaml --repeats 5
+
+With --first, it measures the first command on a machine instead: `sphrom run` of the case with no
+compiled code, then once more with what that has compiled. The difference is the wait for compiling.
+
+    python scripts/bench_startup.py cases/taylor_green_demo.yaml --first --repeats 3
 """
 
 from __future__ import annotations
@@ -15,7 +20,9 @@ import os
 import resource
 import subprocess
 import sys
+import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from rich.console import Console
 from rich.table import Table
@@ -72,12 +79,38 @@ def measure(study: sphrom.Study, case: Path) -> dict[str, float]:
     return taken | json.loads(printed)
 
 
+def first_runs(case: Path) -> list[tuple[float, float]]:
+    """Return elapsed and processor time [s] of a run without compiled code, and of one with it."""
+    taken = []
+    with TemporaryDirectory() as folder:
+        os.environ["SPHROM_CACHE"] = folder
+        for number in range(2):
+            out = ("--out", f"{folder}/{number}", "--quiet")
+            started = time.perf_counter()
+            used = processor_time(sys.executable, "-m", "sphrom", "run", str(case), *out)
+            taken.append((time.perf_counter() - started, used))
+    return taken
+
+
+def compare_first_runs(case: Path, repeats: int) -> None:
+    """Print the times of first runs, and of runs with compiled code."""
+    table = Table("repeat", "compiled code", "elapsed [s]", "processor time [s]")
+    for repeat in range(repeats):
+        for kept, row in zip(("none", "stored"), first_runs(case), strict=True):
+            table.add_row(str(repeat + 1), kept, *(f"{value:.1f}" for value in row))
+    Console().print(table)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("case", type=Path)
     parser.add_argument("--folder", type=Path, default=Path("runs/bench_startup"))
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--first", action="store_true")
     arguments = parser.parse_args()
+    if arguments.first:
+        compare_first_runs(arguments.case, arguments.repeats)
+        return
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     study = sphrom.Study(arguments.case, out=arguments.folder, threads=1, quiet=True)
     study.run(until="operators")

@@ -407,7 +407,7 @@ def draw(runs: Runs) -> None:
     for name, (instants, unit) in frames.items():
         run = runs(name)
         with styled():
-            figure = new_figure(12.0, 3.1)
+            figure = new_figure(9.6, 2.7)
             *panels, last = figure.subplots(1, 4)
             for panel, instant in zip(panels, instants, strict=True):
                 _draw_particles(panel, run, instant * unit, run.box)
@@ -461,7 +461,7 @@ def _draw_history(axes: Axes, name: str, run: Run) -> None:
         axes.plot(fine, linear / np.ptp(sampled), **known, label="linear theory")
         axes.plot(time, scale, color=COLOURS[0], label="full model")
         axes.set(title="amplitude of the wave", ylabel="over its range")
-    axes.legend(fontsize=7, loc="upper right")
+    axes.legend(fontsize=7.5, loc="upper right")
 
 
 def main() -> None:

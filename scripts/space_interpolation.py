@@ -3,7 +3,9 @@
 The case has two training values of the Reynolds number, and its stages have been made by
 `sphrom run`. Errors are relative root mean squares over all reference points and snapshots, of
 pressures less their mean: interpolation in 1/Re and log Re with ten modes and without a basis, the
-nearest state of ten modes, and every model from operators.
+nearest state of ten modes, and every model from operators, with the pressure that it has chosen.
+Costs are processor times: of the stages, the largest of their runs, as stored, and of a run of each
+model, the least of several, without and with fields at all snapshots and reference points.
 
     python scripts/space_interpolation.py CASE [--out FOLDER]
 """
@@ -12,6 +14,8 @@ from __future__ import annotations
 
 import argparse
 import math
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +33,7 @@ from sphrom.store.workspace import Workspace
 
 N_MODES = 10
 """Number of modes in which runs are interpolated."""
+N_TIMES = 5
 Fields = tuple[Array, Array]
 """Density fluctuations (n_snapshots, n_points) and velocities (n_snapshots, n_points, n_dim)."""
 
@@ -41,8 +46,48 @@ def errors(found: Fields, exact: Fields, weights: Array) -> str:
     return "velocity {:.2f} %, pressure {:.2f} %".format(*shares)
 
 
+def least_seconds(run: Callable[[], object], repeats: int) -> float:
+    """Return the least of several processor times [s] of a run that is repeated without a break."""
+    found = []
+    for _ in range(N_TIMES):
+        began = time.process_time()
+        for _ in range(repeats):
+            run()
+        found.append((time.process_time() - began) / repeats)
+    return min(found)
+
+
+def show_costs(workspace: Workspace) -> None:
+    """Print the processor times of stages and of fast models at the first test point."""
+    case = workspace.case
+    points = case.plan.points
+    models = [section for section in case.rom if section.from_operators]
+    stages = {
+        "full run": [workspace.full_run(point) for point in points],
+        "map": [workspace.mapped(point) for point in points],
+        "pod": [workspace.basis()],
+        "fit-psi": [workspace.splines()],
+        "operators": [workspace.operators()],
+        "training": [workspace.model(section) for section in models],
+    }
+    for name, targets in stages.items():
+        seconds = []
+        for target in targets:
+            with workspace.open(target) as artifact:
+                seconds.append(artifact.number("timing/processor"))
+        print(f"  {name}: {max(seconds):.2g} s")
+    point = case.plan.test_points[0]
+    for section in models:
+        model = FastModel(workspace, section)
+        run = model.runner(point)
+        basis = model.at_point(point).whole
+        steps = least_seconds(run, 1000)
+        fields = least_seconds(lambda m=model, b=basis: reconstruct(b, m.run(point).states), 1)
+        print(f"  {section.name}: {1e6 * steps:.3g} us, with fields {1e3 * fields:.3g} ms")
+
+
 def main() -> None:
-    """Print the errors."""
+    """Print the errors, and the costs."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("case", type=Path)
     parser.add_argument("--out", type=Path)
@@ -82,7 +127,10 @@ def main() -> None:
             if section.from_operators:
                 model = FastModel(workspace, section)
                 run = model.run(point)
-                show(section.name, reconstruct(model.at_point(point).whole, run.states))
+                chosen = ", ".join(model.at_point(point).trained.pressure)
+                words = f"{section.name}, pressure {chosen or 'joint'}"
+                show(words, reconstruct(model.at_point(point).whole, run.states))
+    show_costs(workspace)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import IntEnum
@@ -21,6 +21,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, Self, TextIO
 
+from sphrom.progress import LEAST_LEFT, MOST_SHOWN, Progress, StageTime, clock
 from sphrom.text import duration, shortened, visible
 from sphrom.whole_files import open_to_write
 
@@ -30,12 +31,6 @@ LINE_INTERVAL = 10.0
 """Time before the first plain line about progress [s]; each next interval is twice as long."""
 LONGEST_INTERVAL = 600.0
 """Longest interval between such lines [s]."""
-MOST_SHOWN = 0.99
-"""Largest share that a bar shows: work whose end is near isn't done yet."""
-NO_WORK = 0.1
-"""Share of its estimated time that a stage takes at most if its artifacts exist."""
-LEAST_LEFT = 1.0
-"""Least time left that a line tells [s]."""
 LONGEST_LINE = 500
 """Most characters of an error or a warning; the texts that they quote may be of any length."""
 PROSE = 100
@@ -43,6 +38,8 @@ PROSE = 100
 TOGETHER = re.compile("`[^`]*`|sphrom [^`]*$| %")
 """Texts that are never broken over lines: commands to copy, and a number with its percent sign."""
 WHOLE_WORDS: Any = {"break_long_words": False, "break_on_hyphens": False}
+AUTO_REFRESH = True
+"""Whether bars are drawn again by themselves, about four times a second."""
 _bars: Any = None
 """The progress bars below the lines of the terminal."""
 
@@ -91,37 +88,41 @@ def _show_table(columns: Sequence[Sequence[str]]) -> None:
         _show_table([columns[0], *columns[n_fit:]])
 
 
-@contextmanager
-def _bar(description: str, total: int) -> Iterator[Callable[..., None]]:
-    """Show a progress bar below the lines; it yields a function of the number of done items.
+def _new_bars() -> Any:
+    """Return bars that ask about four times a second what they show."""
+    from rich import progress
 
-    Of several items, the number is shown beside the description.
-    """
-    from rich.progress import BarColumn, Progress, TimeRemainingColumn
+    class Bars(progress.Progress):
+        def get_renderables(self) -> Any:
+            for task in self.tasks:
+                task.description, share, task.fields["beside"] = task.fields["shown"]()
+                task.total = None if share is None else 1.0
+                task.completed = share or 0.0
+            return super().get_renderables()
 
-    global _bars
-    bars = _bars = _bars or Progress(
-        "{task.description}", BarColumn(20), "{task.percentage:3.0f} %", TimeRemainingColumn(),
+    return Bars(
+        progress.SpinnerColumn(), "{task.description}", progress.BarColumn(20),
+        "{task.fields[beside]}",
         console=_console(sys.stdout), redirect_stderr=sys.stderr.isatty(), transient=True,
-        auto_refresh=False, refresh_per_second=4.0, speed_estimate_period=float("inf"),
+        auto_refresh=AUTO_REFRESH, refresh_per_second=4.0,
     )  # fmt: skip
-    text = shortened(description, bars.console.width // 2 - 5)
-    task = bars.add_task(text, total=total)
-    shown = 0.0
 
-    def show(done: float, **changes: Any) -> None:
-        nonlocal shown
-        if changes or time.monotonic() >= shown + 1.0 / bars.live.refresh_per_second:
-            shown = time.monotonic()
-            if total > 1:
-                changes = {"description": f"{text}  {done:>{len(str(total))}} of {total}"}
-            bars.update(task, completed=min(done, MOST_SHOWN * total), refresh=True, **changes)
 
+Shown = Callable[[], tuple[str, float | None, str]]
+"""A function that returns the text of a bar, the share done if it is known, and a text beside."""
+
+
+@contextmanager
+def _bar(shown: Shown) -> Iterator[None]:
+    """Show a progress bar below the lines."""
+    global _bars
+    bars = _bars = _bars or _new_bars()
+    task = bars.add_task("", beside="", shown=shown)
     try:
         bars.start()
         bars.refresh()
         bars.console.show_cursor()  # a killed process could not do it
-        yield show
+        yield
     finally:
         if task == bars.task_ids[0]:
             _bars = None
@@ -137,55 +138,19 @@ def show_compiling() -> None:
     class Compiling(event.Listener):
         def on_start(self, event: Any) -> None:
             name = event.data["dispatcher"].py_func.__name__
-            shown.append(_bar(f"compiling {name}", 1) if _bars else nullcontext())
-            shown[-1].__enter__()
+            if not running:
+                clock.stop()
+            running.append(ExitStack())
+            if _bars:
+                running[-1].enter_context(_bar(lambda: (f"compiling {name}", None, "")))
 
         def on_end(self, event: Any) -> None:
-            shown.pop().__exit__(None, None, None)
+            running.pop().close()
+            if not running:
+                clock.go_on()
 
-    shown: list[Any] = []
+    running: list[ExitStack] = []
     event.register("numba:compile", Compiling())
-
-
-@dataclass(frozen=True)
-class StageTime:
-    """The estimated time of a stage [s]."""
-
-    seconds: float
-    items: Mapping[str, float] = field(default_factory=dict)
-    """Of each progress within it, by the description up to a comma."""
-
-
-class _Whole:
-    """How much of all stages is done, by their estimated times, shown in the first bar."""
-
-    def __init__(self, stages: Mapping[str, StageTime], show: Callable[..., None]) -> None:
-        self._stages = stages
-        self._show = show
-        self._total = sum(stage.seconds for stage in stages.values())
-        self._done = self._end = 0.0
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Count a stage; one that ends very early, because its artifacts exist, is no work."""
-        number = [*self._stages].index(name) + 1
-        title = f"stage {number} of {len(self._stages)}: {name}"
-        self._show(self._done / self._total, description=title)
-        stage = self._stages[name]
-        self._items = stage.items
-        self._end = self._done + stage.seconds
-        start = time.monotonic()
-        yield
-        if time.monotonic() - start > NO_WORK * stage.seconds:
-            self._done = self._end
-        else:
-            self._total -= self._end - self._done
-
-    def add(self, description: str, share: float) -> None:
-        """Count a share of a progress within the stage."""
-        more = share * self._items.get(description.partition(",")[0], 0.0)
-        self._done = min(self._done + more, self._end)
-        self._show(self._done / self._total)
 
 
 class LogFile:
@@ -250,7 +215,7 @@ class Reporter:
     _level: Level = Level.INFO
     _is_brief: bool = False
     _has_progress: bool = True
-    _whole: _Whole | None = None
+    _whole: Progress | None = None
     _label: str = ""
 
     @property
@@ -328,12 +293,15 @@ class Reporter:
         if self._whole is not None or not (self._has_progress and self._has_bars):
             yield self
             return
-        with _bar("", 1) as show:
-            yield replace(self, _whole=_Whole(times(), show))
+        whole = Progress()
+        with _bar(whole.shown):
+            whole.estimate(times())
+            yield replace(self, _whole=whole)
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Count a stage of the whole in a block."""
-        return nullcontext() if self._whole is None else self._whole.stage(name)
+        whole = self._whole
+        return whole.stage(name) if whole and name in whole.stages else nullcontext()
 
     @contextmanager
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -351,17 +319,25 @@ class Reporter:
         lines = _progress_lines(description, total)
         next(lines)
         done = 0
-        with _bar(description, total) if has_bar else nullcontext(lambda done: None) as show:
+        whole = self._whole
 
-            def advance(more: int) -> None:
-                nonlocal done
-                done += more
-                show(done)
-                if self._whole is not None:
-                    self._whole.add(description, more / total)
-                if line := lines.send(done):
-                    report._tell(line, level)
+        def shown() -> tuple[str, float, str]:
+            text = shortened(description, shutil.get_terminal_size().columns // 2 - 5)
+            counted = f"  {done:>{len(str(total))}} of {total}" * (total > 1)
+            share = min(done / total, MOST_SHOWN)
+            return text + counted, share, f"{100.0 * share:3.0f} %"
 
+        def advance(more: int) -> None:
+            nonlocal done
+            done += more
+            if whole is not None:
+                whole.add(description, more / total)
+            if line := lines.send(done):
+                report._tell(line, level)
+
+        with _bar(shown) if has_bar else nullcontext():
+            if whole is not None:
+                whole.begin(description, total)
             yield advance
         seconds = time.monotonic() - start
         if seconds < LINE_INTERVAL:

@@ -63,7 +63,10 @@ class Field:
     """`float64`, `int64` or `tensors` for datasets; `float`, `floats` (a vector), `int` or `text`
     for attributes; `group`."""
     units: str = ""
+    """In a plane, where extensive quantities are per metre of depth."""
     meaning: str = ""
+    in_space: str = ""
+    """The units in three dimensions, if they are others."""
     required: bool = True
     axes: tuple[str, ...] = ()
     """Axes of a dataset; for several tensors, those of the highest degree."""
@@ -78,11 +81,10 @@ class Field:
     record: type[Record] | None = None
     """The record of a group."""
 
-    @property
-    def labels(self) -> dict[str, str]:
-        """A description of the values, with units and long name as in netCDF."""
+    def labels(self, n_dim: int) -> dict[str, str]:
+        """Return a description of the values, with units and long name as in netCDF."""
         return {
-            "units": self.units,
+            "units": (self.in_space if n_dim > 2 else "") or self.units,
             "long_name": self.meaning,
             "symbol": self.symbol,
             "equation": self.equation,
@@ -96,6 +98,7 @@ def dataset(
     symbol: str = "",
     equation: str = "",
     *,
+    in_space: str = "",
     names: Mapping[str, str | Mapping[str, Any]] | None = None,
     **others: Any,
 ) -> Any:
@@ -109,6 +112,7 @@ def dataset(
         names=names,
         units=units,
         meaning=meaning,
+        in_space=in_space,
         symbol=symbol,
         equation=equation,
     )
@@ -148,11 +152,12 @@ def attribute(
     units: str,
     meaning: str,
     *,
+    in_space: str = "",
     names: Mapping[str, Mapping[str, Any]] | None = None,
     **others: Any,
 ) -> Any:
     """Declare an attribute."""
-    return _declared(others, units=units, meaning=meaning, names=names)
+    return _declared(others, units=units, meaning=meaning, in_space=in_space, names=names)
 
 
 def part(**others: Any) -> Any:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import re
 import time
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from importlib import import_module
 from inspect import signature
@@ -22,7 +22,8 @@ from sphrom.text import counted, duration, exact, nearest, quoted
 if TYPE_CHECKING:
     from sphrom.case.models import Case
     from sphrom.case.points import ParameterPoint
-    from sphrom.console import Reporter, StageTime
+    from sphrom.console import Reporter
+    from sphrom.progress import StageTime
     from sphrom.setup.context import StageContext
 
 RUNS = Path("runs")
@@ -55,6 +56,8 @@ STAGES = {
 
 WITH_WORKERS = ("fom", "map", "rom", "trade", "extremes", "sweep", "train")
 """The stages whose runs other processes may make, by the options `workers` and `scheduler`."""
+STUDIES = ("figures", "trade", "extremes", "sweep", "train", "import", "report")
+"""Further stages with progress, whose times `study_times` estimates."""
 
 
 def context_of(
@@ -106,7 +109,7 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
     """
     with (
         _warnings_in_lines(context.report),
-        _whole(context, [stage]) as context,
+        _whole(context, [stage], asked) as context,
         context.report.stage(stage),
     ):
         module, _, name = STAGES[stage].partition(":")
@@ -136,9 +139,13 @@ def run_all(context: StageContext, until: str | None = None) -> None:
 
     Raises CaseError when there is no such stage.
     """
+    from sphrom.store.workers import compiled_ahead
+
     unstable: UnstableError | None = None
     stages = _needed(context.case, until)
-    with _whole(replace(context, keep_valid=True), stages) as context:
+    has_listed = "operators" in stages and context.case.scene.domain.n_dim == 2
+    ahead = compiled_ahead() if has_listed else nullcontext()
+    with ahead, _whole(replace(context, keep_valid=True), stages, {}) as context:
         for stage in stages:
             started = time.monotonic()
             before = len(context.known.written)
@@ -157,16 +164,22 @@ def run_all(context: StageContext, until: str | None = None) -> None:
 
 
 @contextmanager
-def _whole(context: StageContext, stages: Sequence[str]) -> Iterator[StageContext]:
+def _whole(
+    context: StageContext, stages: Sequence[str], asked: Mapping[str, Any]
+) -> Iterator[StageContext]:
     """Show the progress of stages in all, and provide a context that reports it."""
 
-    def times() -> dict[str, StageTime]:
+    def times() -> Mapping[str, StageTime]:
+        if stages[0] in STUDIES:
+            from sphrom.study_times import times_of_study
+
+            return times_of_study(context, stages[0], asked)
         from sphrom.setup.cost import stage_times
 
         known = stage_times(context)
         return {stage: known[stage] for stage in stages}
 
-    if not set(stages) <= {*PIPELINE}:
+    if not set(stages) <= {*PIPELINE, *STUDIES}:
         yield context
         return
     with context.report.whole(times) as report:

@@ -29,6 +29,7 @@ from sphrom.case.models import Case
 from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
 
 Array = NDArray[np.float64]
+SCRIPTS = str(Path(__file__).parents[1] / "scripts")
 
 # A script's background jobs ignore it, and hand that on: tests have to be able to interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -468,8 +469,21 @@ def printed() -> Callable[..., str]:
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
     """Import a program of the folder `scripts`."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+    monkeypatch.syspath_prepend(SCRIPTS)
     return importlib.import_module
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A browser, started once; tests are skipped where there is none."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(SCRIPTS)
+        programs = importlib.import_module("browser")
+    if programs.PROGRAM is None:
+        pytest.skip("no chromium is installed to open pages in")
+    found = programs.Browser(tmp_path_factory.mktemp("browser"))
+    yield found
+    found.close()
 
 
 def run_command(*arguments: object, code: int | None = None) -> Result:

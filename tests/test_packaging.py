@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -77,3 +78,28 @@ def test_case_that_comes_with_the_program_is_written_once(sphrom, tmp_path, monk
     assert "cylinder.yaml: exists already; --force overwrites it" in again.stderr
     wrong = sphrom("case", "examples", "cilinder", code=2)
     assert "is called 'cilinder'; did you mean cylinder?" in wrong.stderr
+
+
+def test_make_takes_a_python_that_is_new_enough_or_says_which_one_it_needs(tmp_path) -> None:
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    programs = tmp_path / "programs"
+    programs.mkdir()
+
+    def make() -> subprocess.CompletedProcess[str]:
+        """Say what `make setup` would do with these programs alone."""
+        return subprocess.run(
+            [shutil.which("make"), "-n", "setup"], cwd=tmp_path, env={"PATH": str(programs)},
+            capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+
+    for name, status in (("python3", 1), ("python3.12", 0)):
+        (programs / name).write_text(f"#!/bin/sh\nexit {status}\n")
+        (programs / name).chmod(0o755)
+    assert "python3.12 -m venv .venv" in make().stdout
+    (programs / "python3.12").unlink()
+    check = make().stdout.partition("-m venv")[0].rpartition("\n")[0]
+    (programs / "sh").symlink_to("/bin/sh")
+    refused = subprocess.run(["/bin/sh", "-c", check], capture_output=True, text=True, timeout=60)
+    assert refused.returncode == 1
+    assert "sphrom needs Python 3.11 or later" in refused.stderr

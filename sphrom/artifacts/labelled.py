@@ -20,7 +20,7 @@ from sphrom.artifacts.reader import Artifact, open_artifact
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
 from sphrom.errors import CaseError
-from sphrom.metrics.quantities import AXES, MEASURABLE, unit_of
+from sphrom.metrics.quantities import AXES
 
 _MEASURED = re.compile("((?:error_estimate|steady)/)?(measure|force)/([^/]+)/([^/]+)")
 """The path of a measured quantity: a prefix, the kind, the measurement and the quantity."""
@@ -85,13 +85,9 @@ def _variable(artifact: Artifact, name: str, field: Field, n_dim: int) -> xarray
         f"{axis}_{again + 1}" if (again := field.axes[:i].count(axis)) else axis
         for i, axis in enumerate(field.axes)
     ]
-    labels = {key: text for key, text in field.labels.items() if text}
+    labels = {key: text for key, text in field.labels(n_dim).items() if text}
     if (measured := _MEASURED.fullmatch(name)) and measured[1]:
         labels["long_name"] = f"{measured[1][:-1].replace('_', ' ')}: {field.meaning}"
-    if measured is not None:
-        quantity = "force" if measured[2] == "force" else measured[4]
-        if n_dim > 2 and quantity in MEASURABLE:
-            labels["units"] = unit_of(quantity, n_dim)
     variable = xarray.Variable(dims, indexing.LazilyIndexedArray(_Lazy(artifact, name)), labels)
     if measured is None or "place" not in dims:
         return variable

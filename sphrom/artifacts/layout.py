@@ -86,6 +86,8 @@ class Origin:
     """Return, in words, the derived values that differ for another case, given its text."""
     lineage: Mapping[str, Identity] = dataclasses.field(default_factory=dict)
     """The artifacts that it is made from, by role."""
+    n_dim: int = 2
+    """The number of dimensions of the case, which units follow from."""
 
 
 def content_digest(

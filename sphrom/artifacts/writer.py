@@ -66,7 +66,7 @@ def create_artifact(
     for role, identity in origin.lineage.items():
         provenance |= {f"lineage/{role}/{name}": value for name, value in vars(identity).items()}
     with replacement(Path(path), force=force) as file:
-        writer = ArtifactWriter(Path(path), file, schema)
+        writer = ArtifactWriter(Path(path), file, schema, origin.n_dim)
         try:
             writer._begin(origin.case_text, provenance)
             for name, value in (attributes or {}).items():
@@ -85,11 +85,12 @@ def create_artifact(
 class ArtifactWriter:
     """An artifact that is being written; made by `create_artifact` only."""
 
-    def __init__(self, path: Path, file: TemporaryFile, schema: str) -> None:
+    def __init__(self, path: Path, file: TemporaryFile, schema: str, n_dim: int) -> None:
         self._path = path
         self._file = file
         self._guard = _Guard(path, file)
         self._schema = SCHEMAS[schema]
+        self._n_dim = n_dim
         self._started = time.monotonic()
         self._computing = computing_seconds()
         self._streams: dict[str, Stream] = {}
@@ -133,7 +134,7 @@ class ArtifactWriter:
                 name, shape, field.kind, maxshape=shape, chunks=chunks, fletcher32=bool(chunks)
             )
             dataset.attrs["axes"] = fixed_text(",".join(field.axes))
-            for key, text in field.labels.items():
+            for key, text in field.labels(self._n_dim).items():
                 dataset.attrs[key] = fixed_text(text)
         self._streams[name] = Stream(self, name, field, dataset)
         return self._streams[name]

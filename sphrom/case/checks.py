@@ -32,12 +32,18 @@ from sphrom.text import exact, nearest
 Found = Iterator[tuple[str, str]]
 
 
-def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
-    """Return the problems of a case; `force` accepts an unstable time step."""
+def case_problems(
+    case: Case, *, force: bool = False, replaces_training: bool = False
+) -> list[Problem]:
+    """Return the problems of a case; `force` accepts an unstable time step.
+
+    Test points may be training points if other training points replace these.
+    """
     limits = () if force else (check_limits,)
+    points = (_check_points,) if replaces_training else (_check_points, _check_test_points)
     # Later checks need valid names and sizes, and then valid steps and points.
     first = (check_size, _check_names, _check_histories)
-    for checks in (first, (_check_points,), (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
+    for checks in (first, points, (*_CHECKS, *limits), _SNAPSHOT_CHECKS):
         if problems := [problem for check in checks for problem in check(case)]:
             return [Problem(_path(key), reason) for key, reason in problems]
     return []
@@ -123,7 +129,10 @@ def _check_points(case: Case) -> Found:
                 where, _, reason = str(error).partition(": ")
                 yield (key, f"{values}: {error}") if values else (f"scene.{where}", reason)
                 break
-    for point in filter(set(train).__contains__, test):
+
+
+def _check_test_points(case: Case) -> Found:
+    for point in filter(set(case.plan.train_points).__contains__, case.plan.test_points):
         yield "parameters.test", f"{point.label} is a training value; test other values"
 
 

@@ -76,6 +76,10 @@ def check_geometry(case: Case) -> Found:
         yield "scene.fluid", "no particle is in it; raise discretization.resolution"
     if case.scene.has_surface and section.shifting.enabled:
         yield "discretization.shifting.enabled", "moves fluid out of a free surface; leave it out"
+    as_printed = "paper" in (section.viscosity, section.shifting.transport)
+    if section.pair_precision == "float32" and (as_printed or domain.n_dim > 2):
+        reason = "float32 is for the default terms of pairs, in two dimensions; leave it out"
+        yield "discretization.pair_precision", reason
     if case.scene.has_surface and section.initial_particles == "packed":
         reason = "fluid with a free surface starts on a lattice; leave initial_particles out"
         yield "discretization.initial_particles", reason

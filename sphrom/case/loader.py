@@ -61,9 +61,10 @@ def load_case(
     name, document, changed = _content(source, overrides)
     try:
         case = Case.model_validate(document.value, context={"folder": FilePath(name).parent})
-        problems = case_problems(case, force=force)
         parameters = document.value.get("parameters") or {}
-        if not problems and case.training.ranges and "train" not in parameters:
+        starts = bool(case.training.ranges) and "train" not in parameters
+        problems = case_problems(case, force=force, replaces_training=starts)
+        if not problems and starts:
             case = trained_at(case, Region(case).starts(()))
             problems = case_problems(case, force=force)
     except ValidationError as error:

@@ -289,6 +289,7 @@ class FlowsPlan(PointsPlan):
             shifting_as_printed=section.shifting.form == "paper",
             shifting_transport=section.shifting.transport,
             fixed_volume=section.fixed_volume,
+            pair_precision=section.pair_precision,
             wall_kind=section.walls.kind,
             free_slip=self._scene.free_slip,
             free_surface=self._scene.has_surface,

@@ -148,6 +148,11 @@ class DiscretizationSection(Section):
     fixed_volume: Flag = key(
         True, "whether to subtract the mean of continuity, so that the total volume is conserved"
     )
+    pair_precision: Literal["float64", "float32"] = key(
+        "float64",
+        "precision of sums over pairs of particles: double, or single, which is faster; the state "
+        "is always double",
+    )
     shifting: ShiftingSection = key(ShiftingSection(), "particle shifting (Eq. 2.13-2.14)")
     walls: WallSection = key(WallSection(), "ghost particles, where the scene has walls")
 

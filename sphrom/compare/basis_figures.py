@@ -14,6 +14,7 @@ from sphrom.compare.comparison_tables import SpectrumRow
 from sphrom.metrics.grids import Slices
 from sphrom.metrics.histories import cumulative_singular_value_share, energy
 from sphrom.models.contract import basis_used
+from sphrom.plots.arrangement import FLAT
 from sphrom.plots.frames import Frame
 from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.setup.draw import solids_within
@@ -28,8 +29,8 @@ SPACES = {
 }
 """Spaces of modes, with the groups of their modes and points in the artifact of the bases."""
 COMPONENTS = {"x-velocity": 0, "y-velocity": 1, "z-velocity": 2}
-MOST_MODES = 10
-"""Most pictures of modes in a row."""
+MOST_MODES, MOST_FLAT = 6, 4
+"""Most pictures of modes in a row, and of flat ones."""
 SMALLEST_RATIO, SMALLEST_SHARE = 1e-12, 1e-10
 """Singular values over the first, and omitted shares [%], below which they are rounding errors."""
 SPECTRUM = ("singular value, relative to the first [–]", "later singular values, of the sum [%]")
@@ -131,7 +132,8 @@ def mode_fields(
 def draw_modes(workspace: Workspace, basis: str) -> Figure:
     """Draw density and velocity of the first modes that models use, with spaces side by side."""
     number = max(model_sizes(workspace, basis), default=1)
-    most = MOST_MODES
+    frame = frame_of(workspace.case)
+    most = MOST_MODES if frame.aspect > FLAT else MOST_FLAT
     if workspace.case.basis.lagrangian:
         most //= len(SPACES)
     numbers = list(range(1, number + 1))
@@ -142,4 +144,4 @@ def draw_modes(workspace: Workspace, basis: str) -> Figure:
     for field in ("density", *list(COMPONENTS)[:n_dim]):
         spaces = mode_fields(workspace, basis, field, numbers)
         rows.append(list(chain.from_iterable(spaces.values())))
-    return draw_grid(rows, frame_of(workspace.case))
+    return draw_grid(rows, frame)

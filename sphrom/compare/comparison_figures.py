@@ -30,10 +30,11 @@ from sphrom.metrics.measures import Samples
 from sphrom.metrics.quantities import components, unit_of
 from sphrom.models.contract import BEST, Ability, family_of
 from sphrom.models.stored_run import StoredRun
+from sphrom.plots.arrangement import FLAT
 from sphrom.plots.frames import Frame
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid, save
 from sphrom.scenes.flows import TaylorGreen
-from sphrom.setup.assembly import field_measures
+from sphrom.setup.assembly import field_measures, without_air
 from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 
@@ -51,8 +52,9 @@ LABELS = {
 QUANTITIES = ("speed", "pressure")
 PLOTS = "plots"
 """Folder of the figures, beside the artifacts."""
-FLAT = 0.4
-"""Height over width below which pictures are placed below each other."""
+LONG, TALL = 0.15, 1.4
+"""Height over width of pictures below which each has a row, and above which curves are beside
+them."""
 ERRORS = (
     {
         "velocity_field_relative_l2": "velocity, field: relative L2 [%]",
@@ -183,8 +185,7 @@ class _PointFigures(RunFigures):
         self.complete = [m for m in self.case.rom if status.get(m.name) == "complete"]
         best = [row for row in rows if row.compared.startswith(BEST)]
         self.best = max(best, key=lambda row: row.n_modes or 0).compared if best else ""
-        errors = {m.name: stored.errors(m.name, point) for m in self.case.rom if m.name in status}
-        self.errors = {name: series for name, series in errors.items() if series is not None}
+        self.compared = [m.name for m in self.case.rom if stored.has_errors(m.name, point)]
         settled = (r for r in tables.reference if r.parameters == point.label and r.settled)
         self.references = list(settled)
         self.time = stored.samples(None, point)[1].time
@@ -200,12 +201,18 @@ class _PointFigures(RunFigures):
         if self.references:
             yield "profiles", self._profiles
         yield "centrelines", self._centrelines
-        if self.errors:
+        if self.compared:
             yield "errors", self._errors
         if self.complete:
             yield "fields", self._fields
         if len(self.probes.stations):
             yield "history", self._history
+
+    @cached_property
+    def errors(self) -> dict[str, Series]:
+        """The errors of reduced models over time."""
+        errors = {name: self.stored.errors(name, self.point) for name in self.compared}
+        return {name: series for name, series in errors.items() if series is not None}
 
     def _runs(self) -> Iterator[StoredRun]:
         """Open the full run, then the complete reduced runs."""
@@ -219,9 +226,9 @@ class _PointFigures(RunFigures):
         pictures: dict[str, dict[str, Array]] = {}
         for run in self._runs():
             samples = run.sampled(self.probes.pictured, [self.middle])
-            wet = (samples.speed[0] != 0.0) | (samples.pressure[0] != 0.0)
+            samples = without_air(self.case, samples)
             pictures[run.name] = {
-                quantity: self.probes.picture(np.where(wet, getattr(samples, quantity)[0], np.nan))
+                quantity: self.probes.picture(getattr(samples, quantity)[0])
                 for quantity in QUANTITIES
             }
         return pictures
@@ -237,10 +244,10 @@ class _PointFigures(RunFigures):
         return side_by_side(model.name, quantity, full, pictures[model.name][quantity])
 
     def _fields(self) -> Figure:
-        rows = [
-            [field for quantity in QUANTITIES for field in self._beside(model, quantity)]
-            for model in self.complete
-        ]
+        rows = []
+        for model in self.complete:
+            fields = [self._beside(model, quantity) for quantity in QUANTITIES]
+            rows += fields if self.frame.aspect < FLAT else [[*fields[0], *fields[1]]]
         return draw_grid(rows, self.frame, scales=self._scales, title=self.when)
 
     def _overview(self) -> Figure:
@@ -248,11 +255,8 @@ class _PointFigures(RunFigures):
         complete = {m.name: self.errors[m.name] for m in self.complete}
         label = "velocity, field, over time: relative L2 [%]"
         errors = self._error_panel("velocity_field_relative_l2", label, complete)
-        fields = self._beside(fastest, "speed")
-        extent = self.frame.extent
-        flat = np.ptp(extent[2:]) < FLAT * np.ptp(extent[:2])
-        rows = [[field] for field in fields] if flat else [fields]
-        return draw_grid(rows, self.frame, scales=self._scales, title=self.when, beside=errors)
+        rows = overview_rows(self._beside(fastest, "speed"), errors, self.frame.aspect)
+        return draw_grid(rows, self.frame, scales=self._scales, title=self.when)
 
     def _centrelines(self) -> Figure:
         rows = [(tuple(self.complete), (self.point,))]
@@ -349,6 +353,20 @@ class _PointFigures(RunFigures):
                 curves.append(self.curve(name or FULL, run.time, run.velocity[:, 0, 1]))
         title = f"{self.point.label}, at x = {x:.4g} m, y = {y:.4g} m"
         return draw_grid([[Panel("", "time [s]", "v [m/s]", curves)]], title=title)
+
+
+def overview_rows(
+    fields: Sequence[Field], errors: Panel, aspect: float
+) -> list[list[Field | Panel]]:
+    """Return three pictures of a height over width and a panel of curves, arranged in rows."""
+    full, reduced, difference = fields
+    if aspect > TALL:
+        return [[full, reduced, difference, errors]]
+    if aspect < LONG:
+        return [[full], [reduced], [difference], [errors]]
+    if aspect < FLAT:
+        return [[full, reduced], [difference, errors]]
+    return [[full, reduced, difference], [errors]]
 
 
 def side_by_side(name: str, quantity: str, full: Array, reduced: Array) -> list[Field]:

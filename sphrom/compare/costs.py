@@ -74,15 +74,25 @@ def largest_step(case: Case) -> float:
     return max(case.plan.limits.least, case.plan.steps.time_step)
 
 
-def taking_turns(timed: Mapping[Any, Callable[[], float]], repeats: int) -> dict[Any, Array]:
+def taking_turns(
+    timed: Mapping[Any, Callable[[], float]],
+    repeats: int,
+    advance: Callable[[int], None] = lambda done: None,
+) -> dict[Any, Array]:
     """Return the seconds (n_repeats,) of functions that are called in turns, on one thread.
 
     A first round is ignored, because it includes compilation.
     """
+
+    def measured(timer: Callable[[], float]) -> float:
+        seconds = timer()
+        advance(1)
+        return seconds
+
     threads = asked_for()
     ask_for_threads(1)
     try:
-        rounds = np.array([[timer() for timer in timed.values()] for _ in range(repeats + 1)])
+        rounds = np.array([[*map(measured, timed.values())] for _ in range(repeats + 1)])
     finally:
         ask_for_threads(threads)
     return dict(zip(timed, rounds[1:].T, strict=True))
@@ -143,7 +153,9 @@ def run_timings(workspace: Workspace) -> Iterator[RunTiming]:
             field_compression_factor=field_compression,
         )
         rows.append((row, key))
-    seconds = taking_turns(timers, N_REPEATS) if rows else {}
+    report = workspace.context.report.details
+    with report.progress("timings", max(1, len(timers) * (N_REPEATS + 1))) as advance:
+        seconds = taking_turns(timers, N_REPEATS, advance) if rows else {}
     for row, timed in rows:
         reduced = float(seconds[timed].min())
         row = replace(row, reduced_seconds=reduced)

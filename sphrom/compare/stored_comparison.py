@@ -115,6 +115,10 @@ class StoredComparison:
         stored = read_record(self._artifact, StoredSamples, group)
         return stored.position, Samples(stored.time, stored.velocity, stored.pressure)
 
+    def has_errors(self, run: str, point: ParameterPoint) -> bool:
+        """Return whether there are errors of a run against the full one."""
+        return f"series/{group_of(run, FULL)}/{point.file_label}/time" in self._artifact
+
     def errors(self, run: str, point: ParameterPoint, against: str = FULL) -> Series | None:
         """Return the errors of a run over time, or None."""
         group = f"series/{group_of(run, against)}/{point.file_label}"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 
 # Waiting threads yield: on shared cores, spinning threads would block those they wait for.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
@@ -14,6 +15,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 SUPPORT_RATIO = 2.0
 """Support radius of the smoothing kernel over its smoothing length (kappa)."""
 
+when_compiling: list[Callable[[], object]] = []
+"""Called when this process first has to compile a kernel that can be stored."""
 _asked: int | None = None
 
 

@@ -7,7 +7,8 @@ few vectors long, with as much overhead again: with lists the whole right-hand s
 times faster.
 
 The length of the list is a multiple of the vector length, so that no loop has a scalar remainder;
-it is padded with a source beyond all supports. Positions are relative to the block's first target.
+it is padded with a source beyond all supports. Positions are relative to the block's first target,
+so that a list in single precision keeps the digits of offsets.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Blocks(NamedTuple):
     start: Indices
     """(n_blocks + 1,) the first target of each block."""
     scratch: Array
-    """(N_CHUNKS, n_fields, longest list)"""
+    """(N_CHUNKS, n_fields, longest list), in the precision of sums over pairs."""
 
 
 @serial
@@ -99,7 +100,8 @@ def longest_list(
             low, high = range_beside_box(box, row, search)
             total += max(high - low, 0)
         longest = max(longest, total)
-    return (longest + VECTOR - 1) // VECTOR * VECTOR
+    most = 2 * VECTOR  # of single precision
+    return (longest + most - 1) // most * most
 
 
 @term
@@ -133,7 +135,8 @@ def list_candidates(source: Array, targets: Indices, search: Search, candidates:
             for f in range(2, candidates.shape[0]):
                 copy_range(source[f, low:high], candidates[f, n:end], 0.0)
             n = end
-    full = (n + VECTOR - 1) // VECTOR * VECTOR
+    vector = VECTOR * source.itemsize // candidates.itemsize
+    full = (n + vector - 1) // vector * vector
     for k in range(n, full):
         for f in range(candidates.shape[0]):
             candidates[f, k] = 0.0

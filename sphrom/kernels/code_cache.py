@@ -2,21 +2,30 @@
 
 Each file begins with a digest of the rest. A file that is empty, truncated or changed, for example
 after a power failure, is ignored, and the code is compiled and stored again. A file gets its name
-when it is complete, so any number of processes may compile the same code at the same time.
+when it is complete, so any number of processes may compile the same code at the same time. They
+don't do so as a rule: a process that starts to compile claims the code, and others wait for it.
 """
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import hashlib
 import os
 import secrets
 import tempfile
+import time
 import warnings
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 VARIABLES = ("SPHROM_CACHE", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME")
 """Environment variables that name the folder; the first one that is set is used."""
+PATIENCE = 60.0
+"""Longest time to wait for code that another process compiles [s]."""
+MOMENT = 0.02
+"""Time after which a waiting process looks again [s]."""
 DIGEST_SIZE = hashlib.sha256().digest_size
 
 
@@ -56,6 +65,36 @@ class CodeCache:
             _warn_of(self.folder, error)
         finally:
             temporary.unlink(missing_ok=True)
+
+    def claim(self, name: str) -> None:
+        """Wait while another process compiles the code of a name, then claim it until `release`.
+
+        A claim ends with its process. There is none, nor waiting, where files can't be locked.
+        """
+        end = time.monotonic() + PATIENCE
+        while self._lock(name, fcntl.LOCK_EX | fcntl.LOCK_NB) and time.monotonic() < end:
+            time.sleep(MOMENT)
+
+    def release(self, name: str) -> None:
+        """End a claim."""
+        self._lock(name, fcntl.LOCK_UN)
+
+    def _lock(self, name: str, how: int) -> bool:
+        """Lock or unlock the byte of a name; return whether another process has locked it."""
+        if self.folder is None or not self.writable:
+            return False
+        place = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "big")
+        try:
+            fcntl.lockf(_lock_file(self.folder), how, 1, place)
+        except OSError as error:
+            return error.errno in (errno.EACCES, errno.EAGAIN)
+        return False
+
+
+@cache
+def _lock_file(folder: Path) -> int:
+    """Open the file whose bytes are locked; it stays open, since closing it ends all claims."""
+    return os.open(folder.with_suffix(".lock"), os.O_RDWR | os.O_CREAT)
 
 
 def find_cache(name: str) -> CodeCache:

@@ -20,12 +20,14 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
 from llvmlite.binding import Linkage
 from numba.core import event
 from numba.core.caching import NullCache
@@ -34,8 +36,9 @@ from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+from numba.extending import overload
 
-from sphrom.kernels import asked_for
+from sphrom.kernels import asked_for, when_compiling
 from sphrom.kernels.code_cache import CodeCache, CompilingWarning, find_cache
 from sphrom.machine import compiling
 
@@ -43,13 +46,15 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 # Contraction and reassociation let loops vectorise; NaN and infinities keep their meaning.
 FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
+# No function is called through a C pointer, and the code for such calls takes time to compile.
+SETTINGS = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 LIBRARIES = ("numba", "llvmlite", "numpy")
 """Libraries on which compiled code depends."""
 
 
 def term(function: Function) -> Function:
     """Compile a small function that is called from loops."""
-    return _kept(numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True)(function))
+    return _kept(numba.njit(fastmath=FAST_MATH, **SETTINGS)(function))
 
 
 def inlined(function: Function) -> Function:
@@ -57,22 +62,34 @@ def inlined(function: Function) -> Function:
 
     Its products are then ordered together with theirs. It may take functions and return views.
     """
-    compiled: Function = numba.njit(
-        fastmath=FAST_MATH, error_model="numpy", nogil=True, inline="always"
-    )(function)
+    compiled: Function = numba.njit(fastmath=FAST_MATH, inline="always", **SETTINGS)(function)
     return compiled
+
+
+def like(number: float, other: float) -> float:
+    """Return a number in the precision of another one."""
+    return type(other)(number)
+
+
+@overload(like)
+def _compiled_like(number: Any, other: Any) -> Any:
+    """Return the implementation of `like` for numbers of two types."""
+    precision = np.float32 if other == numba.float32 else np.float64
+
+    def convert(number: Any, other: Any) -> Any:
+        return precision(number)
+
+    return convert
 
 
 def parallel(function: Function) -> Function:
     """Compile a loop over particles; its `numba.prange` is divided among threads."""
-    return _kept(
-        numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True, parallel=True)(function)
-    )
+    return _kept(numba.njit(fastmath=FAST_MATH, parallel=True, **SETTINGS)(function))
 
 
 def serial(function: Function) -> Function:
     """Compile a loop for one thread, with the order and the arithmetic of its source."""
-    return _kept(numba.njit(error_model="numpy", nogil=True)(function))
+    return _kept(numba.njit(**SETTINGS)(function))
 
 
 def set_threads(count: int | None) -> int:
@@ -141,10 +158,15 @@ class _KeptCode(NullCache):
         # Loaded code needs only the memory management of arrays. The whole target, for example the
         # compilation rules of all numpy functions, takes longer to load than many commands take.
         rtsys.initialize(target_context)
-        content = code_cache().read(self._file(signature, target_context.codegen()))
+        file = self._file(signature, target_context.codegen())
+        content = code_cache().read(file)
         if content is None:
             _tell_of_compiling()
-            return None
+            code_cache().claim(file)
+            content = code_cache().read(file)  # another process may have stored it meanwhile
+            if content is None:
+                return None
+            code_cache().release(file)
         return CompileResult._rebuild(target_context, *pickle.loads(content))
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
@@ -152,11 +174,10 @@ class _KeptCode(NullCache):
 
         A signal that arrives while LLVM returns the object code only prevents the storing.
         """
-        try:
-            content = dumps(compiled._reduce())
-        except RuntimeError:
-            return
-        code_cache().write(self._file(signature, compiled.codegen), content)
+        file = self._file(signature, compiled.codegen)
+        with suppress(RuntimeError):
+            code_cache().write(file, dumps(compiled._reduce()))
+        code_cache().release(file)
 
     def _file(self, signature: Any, codegen: Any) -> str:
         made_for = hashlib.sha256(repr((signature, codegen.magic_tuple())).encode())
@@ -166,6 +187,8 @@ class _KeptCode(NullCache):
 @lru_cache(maxsize=1)
 def _tell_of_compiling() -> None:
     if code_cache().writable:
+        for call in when_compiling:
+            call()
         text = "compiling kernels, once on this machine: each takes some seconds, and is kept"
         warnings.warn(text, CompilingWarning, stacklevel=1)
 

@@ -28,7 +28,7 @@ from sphrom.kernels.fields import (
     flow_at,
     vector_at,
 )
-from sphrom.kernels.jit import inlined, term
+from sphrom.kernels.jit import inlined, like, term
 from sphrom.kernels.pairs import (
     TINY,
     density_exchange,
@@ -81,8 +81,9 @@ def regularity_sums(
         first = near[FIRST, :n]
         second = near[FIRST + 1, :n]
         third = near[FIRST + 2, :n]
-    lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = 0.0
-    moment = divergence = ax = ay = bx = by = cx = cy = 0.0
+    zero = like(0.0, inverse_length)
+    lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = zero
+    moment = divergence = ax = ay = bx = by = cx = cy = zero
     for k in range(n):
         offset = minus(place, element(places, k))
         weight = slope_weight(offset, volumes[k], inverse_length)
@@ -131,7 +132,7 @@ def rate_sums(
     """Add up the first n candidates `near` for the rates of a particle."""
     places, densities, velocities, volumes = flow_at(near, slice(0, n))
     pressures, viscosities, gradients = derived_at(near, PRESSURE, slice(0, n))
-    dd = du = dv = 0.0
+    dd = du = dv = like(0.0, inverse_length)
     for k in range(n):
         offset = minus(place, element(places, k))
         jump = minus(element(velocities, k), own.velocity)

@@ -4,7 +4,8 @@ Sources are sorted by cell (`cells.py`); `source[f]` is field f of all sources. 
 candidates are the contiguous list of its block (`blocks.py`), so that the loop over them
 vectorises. Every pair term contains the factor of the kernel's gradient, which vanishes beyond the
 support, and the pair of a particle with itself has no offset. No branch is therefore needed, and
-only the 1/r^2 of viscosity needs a guard.
+only the 1/r^2 of viscosity needs a guard. Terms and sums have the precision of the lists and of the
+constants, which are the same; everything else has double precision.
 
 With G = F V_j and a_i = delta u_i . offset, the advective shifting terms of Eq. 2.6 are
 sum (rho_j - rho_i) a_i G, and those of Eq. 2.7 rho_0 / rho_i sum (u_j - u_i) a_i G: they vanish for
@@ -42,6 +43,8 @@ from sphrom.kernels.fields import (
     SUPPORT_X,
     SUPPORT_Y,
     VOLUME,
+    Derived,
+    Flow,
     FluidConstants,
     RegularityConstants,
     X,
@@ -50,9 +53,21 @@ from sphrom.kernels.fields import (
     flow_at,
     vector_at,
 )
-from sphrom.kernels.jit import inlined, parallel, term
+from sphrom.kernels.jit import inlined, like, parallel, term
 from sphrom.kernels.sums import Regularity, rate_sums, regularity_sums
-from sphrom.kernels.vectors import Vector, minus
+from sphrom.kernels.vectors import Vector, minus, vector_like
+
+
+@inlined
+def in_list(flow: Flow, origin: Vector, near: Array) -> Flow:
+    """Return a target's fields as in a list of candidates, which has an origin and a precision."""
+    other = near[0, 0]
+    return Flow(
+        vector_like(minus(flow.place, origin), other),
+        like(flow.density, other),
+        vector_like(flow.velocity, other),
+        like(flow.volume, other),
+    )
 
 
 @parallel
@@ -149,13 +164,15 @@ def regularity(
             for t in range(here.size):
                 j = here[t]
                 i = blocks.particle[j]
-                own = flow_at(source, j)
-                place = minus(own.place, origin)
+                own = in_list(flow_at(source, j), origin, near)
                 if len(slopes) == 0:
                     extra: tuple[float, ...] = ()
                 else:
-                    extra = source[FIRST, j], source[FIRST + 1, j], source[FIRST + 2, j]
-                sums = regularity_sums(place, own, near, n, extra, constants, search.inverse_length)
+                    first = like(source[FIRST, j], own.density)
+                    second = like(source[FIRST + 1, j], own.density)
+                    extra = first, second, like(source[FIRST + 2, j], own.density)
+                inverse_length = like(search.inverse_length, own.density)
+                sums = regularity_sums(own.place, own, near, n, extra, constants, inverse_length)
                 finish_regularity(sums, source[DENSITY, j], walls, i, constants, out[:, i])
                 if len(slopes) == 1:
                     for f in range(3):
@@ -191,17 +208,22 @@ def rates_of_chunk(
         for t in range(here.size):
             j = here[t]
             i = blocks.particle[j]
-            own = flow_at(source, j)
-            derived = derived_at(regular, OWN_PRESSURE, i)
-            shifting = vector_at(regular, OWN_SHIFT_U, i)
-            place = minus(own.place, origin)
-            dd, du, dv = pair_sums(
-                place, own, derived, shifting, near, n, fluid, search.inverse_length
+            flow = flow_at(source, j)
+            own = in_list(flow, origin, near)
+            inverse_length = like(search.inverse_length, own.density)
+            found = derived_at(regular, OWN_PRESSURE, i)
+            derived = Derived(
+                like(found.pressure, own.density),
+                like(found.viscous, own.density),
+                vector_like(found.gradient, own.density),
             )
+            shifting = vector_at(regular, OWN_SHIFT_U, i)
+            shift = vector_like(shifting, own.density)
+            dd, du, dv = pair_sums(own.place, own, derived, shift, near, n, fluid, inverse_length)
             spread = spreading(shifting, vector_at(regular, SUPPORT_X, i), fluid)
-            full_density = fluid.reference_density + own.density
+            full_density = fluid.reference_density + flow.density
             out[0, i] = dd + full_density * (spread - regular[DIVERGENCE, i])
-            u, v = own.velocity
+            u, v = flow.velocity
             out[1, i] = (du + fluid.reference_density * u * spread) / full_density
             out[2, i] = (dv + fluid.reference_density * v * spread) / full_density
 

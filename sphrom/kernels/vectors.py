@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sphrom.kernels.jit import term
+from sphrom.kernels.jit import like, term
 
 Vector = tuple[Any, ...]
 """A tuple of numbers, or of arrays (n_points,) with the components of many vectors."""
@@ -16,6 +16,12 @@ def element(vectors: Vector, k: int) -> Vector:
     if len(vectors) == 2:
         return vectors[0][k], vectors[1][k]
     return vectors[0][k], vectors[1][k], vectors[2][k]
+
+
+@term
+def vector_like(vector: Vector, other: float) -> Vector:
+    """Return a vector in the plane in the precision of a number."""
+    return like(vector[0], other), like(vector[1], other)
 
 
 @term

@@ -2,7 +2,8 @@
 
 W = 7 / (4 pi h^2) (1 - q/2)^4 (2 q + 1) with q = r/h in two dimensions (Wendland 1995); in three,
 the factor is 21 / (16 pi h^3). Its gradient is a factor times the offset, so neither needs a
-division by the distance. Both vanish beyond the support without a branch.
+division by the distance. Both vanish beyond the support without a branch. All have the precision of
+the distance.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import math
 from numba import prange
 
 from sphrom.arrays import Array
-from sphrom.kernels.jit import parallel, term
+from sphrom.kernels.jit import like, parallel, term
 
 LAPLACIAN_SHAPE = 55.0 / 84.0
 """b of `laplacian_weight`, in two dimensions: the integral of q^5 (1 - q/2)^3 over that of q^7."""
@@ -23,22 +24,24 @@ LAPLACIAN_SHAPE_IN_SPACE = 33.0 / 56.0
 @term
 def kernel(distance: float, inverse_length: float, n_dim: int = 2) -> float:
     """Return W [m^-n] at a distance [m], from 1/h [1/m]."""
-    reach = max(0.0, 1.0 - 0.5 * distance * inverse_length)
+    one = like(1.0, distance)
+    reach = max(like(0.0, one), one - like(0.5, one) * distance * inverse_length)
     square = reach * reach
-    norm = 7.0 / (4.0 * math.pi) * inverse_length * inverse_length
+    norm = like(7.0 / (4.0 * math.pi), one) * inverse_length * inverse_length
     if n_dim == 3:
-        norm *= 0.75 * inverse_length
-    return norm * square * square * (2.0 * distance * inverse_length + 1.0)
+        norm *= like(0.75, one) * inverse_length
+    return norm * square * square * (like(2.0, one) * distance * inverse_length + one)
 
 
 @term
 def gradient_factor(distance: float, inverse_length: float, n_dim: int = 2) -> float:
     """Return F [m^-(n+2)], where the kernel's gradient is F times the offset x_i - x_j."""
-    reach = max(0.0, 1.0 - 0.5 * distance * inverse_length)
+    one = like(1.0, distance)
+    reach = max(like(0.0, one), one - like(0.5, one) * distance * inverse_length)
     square = inverse_length * inverse_length
-    norm = -35.0 / (4.0 * math.pi) * square * square
+    norm = like(-35.0 / (4.0 * math.pi), one) * square * square
     if n_dim == 3:
-        norm *= 0.75 * inverse_length
+        norm *= like(0.75, one) * inverse_length
     return norm * reach * reach * reach
 
 
@@ -50,7 +53,7 @@ def laplacian_weight(square: float, inverse_length: float, n_dim: int = 2) -> fl
     makes it vanish: the sums are of fourth order, and still damp waves of any length.
     """
     shape = LAPLACIAN_SHAPE if n_dim == 2 else LAPLACIAN_SHAPE_IN_SPACE
-    return 1.0 - shape * square * inverse_length * inverse_length
+    return like(1.0, square) - like(shape, square) * square * inverse_length * inverse_length
 
 
 @parallel

@@ -125,6 +125,7 @@ def stored(
         declared[at.format(name)] = {
             "axes": (*before.split(), *axes, *after.split()),
             "units": units.format(quantity.unit),
+            "in_space": units.format(quantity.in_space) if quantity.in_space else "",
             "meaning": meaning.format(quantity.meaning),
             "symbol": quantity.symbol,
             "equation": quantity.equation,

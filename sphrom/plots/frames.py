@@ -41,6 +41,12 @@ class Frame:
         return left, right, lower, upper
 
     @property
+    def aspect(self) -> float:
+        """Its height over its width."""
+        left, right, lower, upper = self.extent
+        return (upper - lower) / (right - left)
+
+    @property
     def labels(self) -> tuple[str, str]:
         """The labels of the axes."""
         return ("x [m]", "y [m]") if self.slices is None else ("x, then z [m]", "y, then z [m]")

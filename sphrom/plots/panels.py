@@ -16,11 +16,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from sphrom.arrays import Array
+from sphrom.plots.arrangement import LETTER, WIDEST, Bar, Cell, arrange, picture_width
 from sphrom.plots.frames import Frame, Solids
 from sphrom.whole_files import write_whole
 
@@ -76,7 +78,7 @@ def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a width and height [inch], which needs no display."""
     from matplotlib.figure import Figure as NewFigure
 
-    return NewFigure(figsize=(width, height), layout="constrained")
+    return NewFigure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="constrained")
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -84,11 +86,15 @@ def save(figure: Figure, path: Path) -> None:
 
     Raises ArtifactError when the file can't be written.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     content = io.BytesIO()
-    kind = path.suffix.lower().removeprefix(".")
-    steady: Any = {"metadata": {"Date": None}} if kind == "svg" else {}
     with styled():
-        figure.savefig(content, format=kind, dpi=DOTS_PER_INCH, facecolor="white", **steady)
+        if path.suffix.lower() == ".svg":
+            figure.savefig(content, format="svg", dpi=DOTS_PER_INCH, metadata={"Date": None})
+        else:
+            # `savefig` draws figures with a layout twice, the first time only to arrange them.
+            FigureCanvasAgg(figure).print_png(content)
     write_whole(path, content.getvalue())
 
 
@@ -111,20 +117,10 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
 Range = tuple[float, float]
 Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
-WIDEST = 12.0
-"""Largest total width of the pictures in a row [inch]."""
-PICTURE = 3.0
-"""Largest width of a picture [inch]."""
-CURVES = (4.4, 3.2)
-"""Width and height of a panel of curves [inch]."""
-LEAST_WIDTH = 7.5
-"""Least width of a figure [inch]."""
-X_TICKS, AN_INCH, LETTERS = 4, 2, 5.0
-"""Most labels along a picture, labels per inch, and their font size over its width."""
-EDGE = 0.06
-"""Margin below the labels of colour bars, whose reported height is too small [inch]."""
-LETTER, MARGINS = 0.07, 0.6
-"""Approximate width of a letter in titles and legends, and of a legend's handle [inch]."""
+MOST_TICKS, AN_INCH = 5, 1.5
+"""Most numbers along an axis, and per inch of a picture."""
+HANDLE = 0.6
+"""Approximate width of a handle of a legend with its margins [inch]."""
 BEYOND = 2.0
 """Largest extension of a shared scale beyond its given range, over that range."""
 SHOWN = (0.5, 99.5)
@@ -197,103 +193,114 @@ def draw_grid(
     *,
     scales: Mapping[str, Range] | None = None,
     title: str = "",
-    beside: Panel | None = None,
 ) -> Figure:
     """Return a figure with rows of panels; pictures need a frame.
 
     With `scales`, pictures with equal labels share a scale and a colour bar; `scales` has ranges by
     label, such as those of the full run, which scales exceed at most by `BEYOND`. Without `scales`,
     each picture has its own. Curves have one legend below, or one per panel if they differ or are
-    next to pictures, like the panel `beside` all rows. Raises ValueError without panels.
+    next to pictures. Below pictures, a panel of curves that is alone in its row spans all columns.
+    Raises ValueError without panels.
     """
-    longest = [*max(rows, key=len, default=()), *([] if beside is None else [beside])]
-    if not longest:
+    n_columns = max(map(len, rows), default=0)
+    if not n_columns:
         raise ValueError("there is nothing to draw")
-    picture_width = min(PICTURE, WIDEST / len(longest))
-    widths = [picture_width if isinstance(panel, Field) else CURVES[0] for panel in longest]
-    height = 0.0 if all(isinstance(panel, Field) for panel in longest) else CURVES[1]
-    height /= 1 if beside is None else len(rows)
+    width = WIDEST / n_columns
     if frame is not None:
-        left, right, lower, upper = frame.extent
-        bars = 0.5 if scales is None or (beside is not None and len(rows) > 1) else 0.0
-        height = max(height, picture_width * (upper - lower) / (right - left) + 0.3 + bars)
+        width = picture_width(frame.aspect, n_columns)
     with styled():
-        width = max(sum(widths) + 0.7, LETTER * max(map(len, title.split("\n"))), LEAST_WIDTH)
-        figure = new_figure(width, len(rows) * height + 1.2)
-        grid = figure.subplots(len(rows), len(longest), squeeze=False, width_ratios=widths)
-        places: list[tuple[Axes, Field | Panel]] = []
-        for row_axes, row in zip(grid, rows, strict=True):
-            places += zip(row_axes, row, strict=False)
-            for unused in row_axes[len(row) :]:
-                unused.set_axis_off()
-        if beside is not None:
-            places.append((figure.add_subplot(grid[0, 0].get_gridspec()[:, -1]), beside))
+        figure = new_figure(WIDEST, WIDEST)
+        figure.set_layout_engine("none")
+        cells: list[tuple[Cell, Field | Panel]] = []
+        for row, panels in enumerate(rows):
+            alone = len(panels) == 1 and isinstance(panels[0], Panel) and frame is not None
+            for column, panel in enumerate(panels):
+                columns = range(n_columns) if alone else range(column, column + 1)
+                cells.append((_cell(figure, frame, panel, row, columns, width), panel))
+        bars = []
         if frame is not None:
-            pictures = [(axes, panel) for axes, panel in places if isinstance(panel, Field)]
-            _draw_pictures(figure, frame, pictures, picture_width, scales)
-            edge = EDGE / figure.get_figheight()
-            figure.set_layout_engine("constrained", rect=(0.0, edge, 1.0, 1.0 - edge))
-        curves = [(axes, panel) for axes, panel in places if isinstance(panel, Panel)]
+            pictures = [(cell, panel) for cell, panel in cells if isinstance(panel, Field)]
+            bars = _draw_pictures(figure, frame, pictures, width, scales)
+        curves = [(cell.axes, panel) for cell, panel in cells if isinstance(panel, Panel)]
         for axes, panel in curves:
             _draw_curves(axes, panel)
         legends = {tuple(curve.label for curve in panel.curves) for _, panel in curves}
+        lines_below = 0
         if len(legends) == 1 and frame is None:
             handles, labels = curves[0][0].get_legend_handles_labels()
-            fitting = int(width / (LETTER * max(map(len, labels)) + MARGINS))
-            columns = max(1, min(4, len(labels), fitting))
-            figure.legend(handles, labels, loc="outside lower center", ncols=columns)
+            fitting = int(WIDEST / (LETTER * max(map(len, labels)) + HANDLE))
+            across = max(1, min(4, len(labels), fitting))
+            figure.legend(handles, labels, loc="lower center", ncols=across)
+            lines_below = -(-len(labels) // across)
         else:
             for axes, _ in curves:
                 axes.legend(fontsize=7.5)
-        if title:
-            figure.suptitle(title)
+        arrange(figure, [cell for cell, _ in cells], bars, title, lines_below)
         return figure
+
+
+def _cell(
+    figure: Figure,
+    frame: Frame | None,
+    panel: Field | Panel,
+    row: int,
+    columns: range,
+    width: float,
+) -> Cell:
+    """Return empty axes with the title of a panel; columns are about as wide as `width` [inch]."""
+    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8), label=f"{row}, {columns}")
+    letters = int(width * len(columns) / LETTER)
+    lines = [fill(line, letters) for line in panel.title.split("\n") if line]
+    title = axes.set_title("\n".join(lines)).get_text()
+    n_lines = len(title.splitlines())
+    if isinstance(panel, Panel) or frame is None:
+        marked = isinstance(panel, Panel) and bool(panel.marked)
+        return Cell(axes, row, columns, lines_above=n_lines + marked)
+    return Cell(axes, row, columns, frame.aspect, n_lines)
 
 
 def _draw_pictures(
     figure: Figure,
     frame: Frame,
-    pictures: Sequence[tuple[Axes, Field]],
+    pictures: Sequence[tuple[Cell, Field]],
     width: float,
     scales: Mapping[str, Range] | None,
-) -> None:
-    """Draw fields, with a colour bar below each field or group that has a scale."""
-    groups: dict[int | str, list[tuple[Axes, Field]]] = {}
-    for number, (axes, field) in enumerate(pictures):
-        groups.setdefault(number if scales is None else field.label, []).append((axes, field))
-    from matplotlib import rcParams
-
-    first = pictures[0][0]
+) -> list[Bar]:
+    """Draw fields of a width [inch], with a colour bar below each one or group with a scale."""
+    groups: dict[int | str, list[tuple[Cell, Field]]] = {}
+    for number, (cell, field) in enumerate(pictures):
+        groups.setdefault(number if scales is None else field.label, []).append((cell, field))
+    bars = []
     for group in groups.values():
         fields = [field for _, field in group]
-        label = group[0][1].label
+        label = fields[0].label
         colours, scale = colour_scale(fields, scales or {})
         alike = [f for _, f in pictures if f.label == label]
         if scales is None and any(colour_scale([f])[0] == SIGNED_MAP for f in alike):
             colours = SIGNED_MAP  # one map for a quantity, also where a field has one sign
-        for axes, field in group:
+        for cell, field in group:
+            axes = cell.axes
             image = _show(axes, frame, field.values, colours, scale)
-            if axes is not first:
-                axes.sharex(first)
-                axes.sharey(first)
             if frame.slices is None:
-                axes.locator_params(axis="x", nbins=max(1, min(X_TICKS, int(AN_INCH * width))))
-            elif axes is first:
+                axes.locator_params(axis="x", nbins=_n_ticks(width))
+                axes.locator_params(axis="y", nbins=_n_ticks(width * frame.aspect))
+            else:
                 axes.set_xticks(*frame.slices.ticks(0))
                 axes.set_yticks(*frame.slices.ticks(1))
-            largest = rcParams["axes.titlesize"]
-            axes.set_title(field.title, fontsize=min(largest, largest * width / PICTURE + 1.5))
             x_label, y_label = frame.labels
             axes.set_xlabel(x_label)
             axes.set_ylabel(y_label if scales is not None else f"{label}\n\n{y_label}")
-            axes.label_outer()
+            # Only the first pictures from the left, and the last ones, have numbers.
+            axes.xaxis.set_visible(all(cell.row + 1 != other.row for other, _ in pictures))
+            axes.yaxis.set_visible(cell.columns[0] == 0)
         values = np.concatenate([field.values.ravel() for field in fields])
         ends = 1 * bool((values < scale[0]).any()) + 2 * bool((values > scale[1]).any())
-        panels = [axes for axes, _ in group]
-        n_columns = len({round(axes.get_position().x0, 3) for axes in panels})
+        bar = Bar(figure.add_axes((0.1, 0.1, 0.8, 0.1)), [cell for cell, _ in group])
         bar_label = label if scales is not None else ""
-        _bar_below(figure, image, panels, bar_label, 18 * n_columns, EXTENDED[ends])
-        image.colorbar.ax.tick_params(labelsize=min(rcParams["xtick.labelsize"], LETTERS * width))
+        bar_width = width * len({cell.columns[0] for cell in bar.cells})
+        _draw_bar(figure, image, bar.axes, bar_label, bar_width, EXTENDED[ends])
+        bars.append(bar)
+    return bars
 
 
 def colour_scale(fields: Sequence[Field], scales: Mapping[str, Range] = {}) -> tuple[str, Range]:
@@ -338,21 +345,24 @@ def _continued(field: Array) -> Array:
     return field[rows, columns]
 
 
-def _bar_below(
-    figure: Figure, image: Any, panels: Any, label: str, aspect: int, extended: Any
+def _n_ticks(length: float) -> int:
+    """Return the number of intervals between ticks along a length [inch]."""
+    return max(1, min(MOST_TICKS, int(AN_INCH * length)))
+
+
+def _draw_bar(
+    figure: Figure, image: Any, axes: Axes, label: str, width: float, extended: Any
 ) -> None:
-    """Draw a colour bar under panels; an `aspect` proportional to their width gives equal heights.
+    """Draw a colour bar below panels of a width [inch].
 
     It has few labels, and a common factor beside the unit instead of long numbers.
     """
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-    bar = figure.colorbar(
-        image, ax=panels, location="bottom", shrink=0.8, aspect=aspect, pad=0.03, extend=extended
-    )
+    bar = figure.colorbar(image, cax=axes, orientation="horizontal", extend=extended)
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-2, 4))
-    bar.locator = MaxNLocator(aspect // 6)
+    bar.locator = MaxNLocator(1 + _n_ticks(width))
     bar.formatter = numbers
     bar.update_ticks()
     numbers.format_ticks(list(bar.get_ticks()))
@@ -385,10 +395,11 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
         axes.plot(curve.x, y, label=curve.label, **look)
         if curve.interval is not None:
             axes.fill_between(curve.x, *curve.interval, color=look["color"], alpha=0.15, lw=0.0)
-    axes.set(xlabel=panel.x_label, ylabel=panel.y_label, title=panel.title, axisbelow=True)
+    axes.set(xlabel=panel.x_label, ylabel=panel.y_label, axisbelow=True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True)
     axes.margins(x=0.01)
+    axes.locator_params(axis="y", nbins=MOST_TICKS + 1)
     if all(np.issubdtype(curve.x.dtype, np.integer) for curve in panel.curves):
         axes.locator_params(axis="x", integer=True)
     if "log" in panel.axes:

@@ -16,8 +16,10 @@ those of the velocity. Like the rates, b is quadratic in a and affine in factors
 
 The remaining error is known in training runs. It may be added: by ridge regression on a
 (`sphrom.reduction.calibration`), or interpolated between the runs (`sphrom.reduction.correction`).
-`CANDIDATES` lists the combinations. Training runs that are held out from the modes psi and from
-all fits decide which of them a model uses.
+`CANDIDATES` lists the combinations. Errors in training runs decide which of them a model uses: e
+with the fits to all runs, and h where a run is held out from the modes psi and from all fits.
+Parameters between training runs are nearer to these than held-out runs are to the others, by the
+factor s (`NEARER`). The expected squared error there is (1 - s^2) e^2 + s^2 h^2.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from sphrom.declaration import Record, attribute, dataset, part
 from sphrom.reduction.affine import VISCOSITY, Affine, factor_of
 from sphrom.reduction.calibration import Calibration, TrainingRun, fit
 from sphrom.reduction.correction import Correction, interpolated
-from sphrom.reduction.held_out import ALIKE, DIVERGED, surrounded
+from sphrom.reduction.held_out import ALIKE, DIVERGED, NEARER, surrounded
 from sphrom.reduction.monomials import monomials_of
 from sphrom.reduction.reduced_operators import Polynomial, unpack
 from sphrom.sph.fluid import NONE, Factors
@@ -226,41 +228,62 @@ def fitted(
 
 
 def choose(
-    space: PressureSpace, predicted: Mapping[int, Mapping[int, TrainingRun]], places: Array
+    space: PressureSpace,
+    runs: Mapping[int, TrainingRun],
+    predicted: Mapping[int, Mapping[int, TrainingRun]],
+    places: Array,
 ) -> tuple[str, Array, dict[int, Array]]:
-    """Return the best candidate, and the relative errors (n_candidates, n_runs) of all.
+    """Return the best candidate, and the expected relative errors (n_candidates, n_runs) of all.
 
     The third result has the coordinates (n_snapshots, n_pressure_modes) of the best candidate's own
     modes in the predicted runs.
 
-    Errors are root mean squares over a training run that was held out, and large where it diverged.
+    Errors are root mean squares over a training run, and large where it diverged.
 
     Parameters
     ----------
+    runs : the training runs of the model, by number.
     predicted : all training runs, by the number of the one that the others predict. Those have
         the coordinates of full runs.
     places : (n_runs, n_parameters), scaled so that distances are comparable.
     """
     errors = np.full((len(CANDIDATES), len(places)), DIVERGED)
     added: dict[str, dict[int, Array]] = {candidate: {} for candidate in CANDIDATES}
-    for k, runs in predicted.items():
-        run = runs[k]
-        others = {j: other for j, other in runs.items() if j != k}
+    base = np.eye(len(space.modes), len(space.gradients))
+    whole = [fitted(space, base, candidate, runs, places) for candidate in CANDIDATES]
+    for k, unseen in predicted.items():
+        others = {j: other for j, other in unseen.items() if j != k}
         known = space.coordinates[list(others)].reshape(-1, len(space.gradients))
         own = np.linalg.svd(known, full_matrices=False)[2][: len(space.modes)]
-        outside = space.squares[k].sum() - np.sum(space.coordinates[k] ** 2)
         for row, candidate in enumerate(CANDIDATES):
             pressure = fitted(space, own, candidate, others, places)
-            found = pressure.along(run)
-            if pressure.correction is not None:
-                found += pressure.correction.at(places[k])
-            added[candidate][k] = found @ own
-            missed = space.coordinates[k] - run.coordinates @ space.joint - added[candidate][k]
-            square = max(0.0, outside) + np.sum(missed**2)
-            errors[row, k] = np.sqrt(square / space.squares[k].sum())
+            added[candidate][k] = _added(pressure, unseen[k], places[k]) @ own
+            square = _missed(space, k, unseen[k], added[candidate][k])
+            if k in runs:
+                seen = _missed(space, k, runs[k], _added(whole[row], runs[k], places[k]) @ base)
+                square = (1.0 - NEARER**2) * seen + NEARER**2 * square
+            errors[row, k] = np.sqrt(square)
     expected = expected_errors(errors, places)
     best = CANDIDATES[int(np.flatnonzero(expected <= ALIKE * expected.min() + NEGLIGIBLE)[0])]
     return best, errors, added[best]
+
+
+def _added(pressure: OwnPressure, run: TrainingRun, place: Array) -> Array:
+    """Return the coordinates (n_snapshots, n_own_modes) in a run, with the correction."""
+    found = pressure.along(run)
+    return found if pressure.correction is None else found + pressure.correction.at(place)
+
+
+def _missed(space: PressureSpace, k: int, run: TrainingRun, added: Array) -> float:
+    """Return the squared relative error of the pressure in a training run.
+
+    `added` are the coordinates (n_snapshots, n_pressure_modes) of own modes.
+    """
+    known = space.coordinates[k]
+    size = space.squares[k].sum()
+    outside = max(0.0, size - np.sum(known**2))
+    missed = known - run.coordinates @ space.joint - added
+    return float((outside + np.sum(missed**2)) / size)
 
 
 def expected_errors(errors: Array, places: Array) -> Array:

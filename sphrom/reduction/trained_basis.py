@@ -179,7 +179,8 @@ class TrainedBasis(Record):
     """The chosen candidate, by its name, if the model has pressure modes of its own."""
     pressure_errors: Array | None = dataset(
         "pressure_candidate run", "1",
-        "relative error of the pressure in each held-out training run, by candidate", default=None,
+        "expected relative error of the pressure by candidate, from errors in each training run",
+        default=None,
     )  # fmt: skip
 
     @property

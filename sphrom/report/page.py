@@ -46,10 +46,14 @@ def listing(title: str, text: str) -> Html:
 
 
 def picture(png: bytes, caption: str, described: str = "") -> Html:
-    """Return a PNG image with its caption and a description; a click enlarges it."""
+    """Return a PNG image with its caption and a description.
+
+    A click enlarges it. On a narrow screen it scrolls, because its labels would be too small.
+    """
     button = {"type": "button", "class_": "zoom", "title": "show large"}
     image = element("button", _image(png, described or caption), **button)
-    return element("figure", image, element("figcaption", caption))
+    scrolling = element("div", image, class_="wide")
+    return element("figure", scrolling, element("figcaption", caption))
 
 
 def headline(figures: Sequence[tuple[str, str]], sentences: Sequence[str]) -> Html:

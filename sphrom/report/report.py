@@ -42,6 +42,7 @@ from sphrom.report.page import (
     render,
     table,
 )
+from sphrom.setup.assembly import without_air
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import described_run
 from sphrom.store.stored_run import probes_of
@@ -291,8 +292,8 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
     with StoredRun.opened(workspace, point) as full:
         times = full.time
         chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
-        full_samples = full.sampled(probes.pictured, chosen.tolist())
-    samples = reduced.sampled(probes.pictured, chosen.tolist())
+        full_samples = without_air(workspace.case, full.sampled(probes.pictured, chosen.tolist()))
+    samples = without_air(workspace.case, reduced.sampled(probes.pictured, chosen.tolist()))
     frame = frame_of(workspace.case)
     rows, legends = [], []
     for quantity in QUANTITIES:

@@ -15,7 +15,7 @@ from sphrom.case.custom_sections import SurfaceForce
 from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.metrics.measures import FieldMeasure
+from sphrom.metrics.measures import FieldMeasure, Samples
 from sphrom.metrics.series import hat
 from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
@@ -143,3 +143,12 @@ def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
     place = scaled_parameters(case, [point])[0]
     _, distance = interpolation_weights(scaled_parameters(case, trained), place)
     return "extrapolated" if distance > 0.0 else "predicted"
+
+
+def without_air(case: Case, samples: Samples) -> Samples:
+    """Return samples with NaN above a free surface, where samples of runs are zero."""
+    if not case.scene.has_surface:
+        return samples
+    air = (samples.speed == 0.0) & (samples.pressure == 0.0)
+    velocity = np.where(air[..., None], np.nan, samples.velocity)
+    return Samples(samples.time, velocity, np.where(air, np.nan, samples.pressure))

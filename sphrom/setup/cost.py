@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,10 +18,11 @@ from sphrom.case.model_sections import ReducedModelSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
-from sphrom.console import Reporter, StageTime
+from sphrom.console import Reporter
 from sphrom.errors import ResourceError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
+from sphrom.progress import StageTime
 from sphrom.reduction.decomposition import (
     BYTES,
     decomposition_bytes,
@@ -62,8 +63,13 @@ B_SPLINES = (0.92, 0.053)
 neighbours (80x80, lid-driven cavity) and 200 (150x150, Taylor-Green), M = 5 to 30."""
 CLOSURE = 1.1
 """The additional cost of a closure: once more the full right-hand side."""
-LOADING, PICTURES = 0.3, 3.5
-"""Times of loading a stage with runs, and of drawing the pictures of a comparison [s]."""
+EACH_POINT = 7
+"""Approximate number of all pictures of a comparison, for each parameter point."""
+LOADING, STARTING, PICTURE = 0.3, 1.3, 0.8
+"""Times of loading a stage with runs, the same in processes that start, and of drawing one picture
+[s]."""
+FAST_RUN = 5e-4
+"""Time of a run from operators with five modes [s]."""
 TIMED_STEPS = 60
 """Steps of each model in the timings of a comparison."""
 
@@ -180,6 +186,33 @@ def reduced_steps(case: Case, model: ReducedModelSection) -> float:
     return cost * plan.steps.n_steps * plan.steps.time_step / step
 
 
+def run_seconds(case: Case, model: ReducedModelSection | None) -> float:
+    """Return the approximate time of one run on one core [s]; None is the full model."""
+    if model is not None and model.from_operators:
+        return FAST_RUN
+    full = full_seconds(case, 1)
+    steps = case.plan.steps
+    n_steps = steps.n_steps + steps.n_spin_up_steps
+    return full if model is None else full / n_steps * reduced_steps(case, model)
+
+
+def runs_time(
+    name: str, seconds: float, workers: int = 1, parts: Mapping[str, float] | None = None
+) -> StageTime:
+    """Return the time of a stage whose runs take some seconds on one core.
+
+    Its progress is called `name`, or consists of the seconds of `parts`, by name.
+    """
+    start = LOADING if workers == 1 else STARTING
+    shared = seconds / workers
+    return StageTime(start + shared, {**(parts or {}), name: shared}, start, workers)
+
+
+def uncounted_time(seconds: float) -> StageTime:
+    """Return the time of a stage in which no progress counts anything."""
+    return StageTime(seconds, uncounted=seconds)
+
+
 def stage_times(context: StageContext) -> dict[str, StageTime]:
     """Return the approximate times of the stages of `run`, if all of their work has to be done.
 
@@ -190,32 +223,31 @@ def stage_times(context: StageContext) -> dict[str, StageTime]:
     steps = plan.steps
     n_points = len(context.chosen(plan.points))
     workers = max(1, min(context.workers or 1, n_points))
-
-    def runs(name: str, each: dict[str, float], seconds: float) -> StageTime:
-        at_once = seconds / workers
-        return StageTime(LOADING + at_once, {**each, name: at_once})
-
     full = full_seconds(case, 1)
     step = full / (steps.n_steps + steps.n_spin_up_steps)
     parts = {"spin-up": step * steps.n_spin_up_steps, "full run": step * steps.n_steps}
     mapped = 1.3e-6 * steps.n_snapshots * plan.n_particles
     slow = [model for model in context.chosen_models if not model.from_operators]
-    each = {model.name: step * reduced_steps(case, model) for model in slow}
+    each = {model.name: run_seconds(case, model) for model in slow}
     reduced = sum(each[m.name] * len(context.chosen(plan.rom_points(m))) for m in slow)
     learnt = (len(plan.train_points) * steps.n_snapshots) ** 2 * plan.n_particles
     modes = sum(plan.basis_size(name) for name in plan.reference_bases)
     sample = 0.2 + 2e-3 * steps.n_snapshots
     sampled = {f"sample {name}": sample for name in ("the full run", *each)}
     timed = TIMED_STEPS * (step + sum(each.values()) / steps.n_steps) * bool(case.rom)
+    n_pictures = {None: 4, False: 0}.get(case.compare.plots, EACH_POINT * len(plan.points))
+    drawn = PICTURE * n_pictures
     compared = len(plan.points) * (1 + len(case.rom)) * sample
     return {
-        "fom": runs("full runs", parts, n_points * full),
-        "map": runs("maps", {"map": mapped}, n_points * mapped),
-        "pod": StageTime(0.1 + 2e-9 * learnt),
-        "fit-psi": StageTime(0.1),
-        "operators": StageTime(0.1 + 6e-5 * plan.n_particles * modes),
-        "rom": runs("reduced runs", each, reduced),
-        "compare": StageTime(PICTURES + timed + compared, {**sampled, "pictures": PICTURES}),
+        "fom": runs_time("full runs", n_points * full, workers, parts),
+        "map": runs_time("maps", n_points * mapped, workers, {"map": mapped}),
+        "pod": uncounted_time(0.1 + 2e-9 * learnt),
+        "fit-psi": uncounted_time(0.1),
+        "operators": uncounted_time(0.1 + 6e-5 * plan.n_particles * modes),
+        "rom": runs_time("reduced runs", reduced, workers, each),
+        "compare": StageTime(
+            compared + timed + drawn, {**sampled, "timings": timed, "pictures": drawn}
+        ),
     }
 
 

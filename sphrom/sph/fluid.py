@@ -111,6 +111,8 @@ class Discretization:
     """Whether ghosts near or above the surface are weighted by the share of fluid beside them."""
     fixed_volume: bool = False
     """Whether to subtract the mean of the continuity equation, so that volumes fill the domain."""
+    pair_precision: Literal["float64", "float32"] = "float64"
+    """The precision of terms of pairs of particles and of their sums."""
 
     @property
     def walls(self) -> WallKind:

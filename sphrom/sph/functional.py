@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from sphrom.sph.walls.rule import WallTerms
 
 BodyForce = Callable[[Array, float], Array]
 """The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
+Constants = TypeVar("Constants", fields.FluidConstants, fields.RegularityConstants)
 WallSpeed = Callable[[float], float | Array]
 """The factor of the walls' velocity at a time [s]."""
 
@@ -114,12 +116,16 @@ class Functional:
             damping=damping * fluid.reference_density,
             walls_return=rule.returns_flux,
         )
+        precision = np.dtype(discretization.pair_precision)
+        # Sums over particles take constants of their precision; those over ghosts have doubles.
+        self._pair_constants = _in_precision(self._fluid_constants, precision)
+        self._pair_regularity = _in_precision(self._regularity_constants, precision)
         self._n_fields = fields.N_FIELDS
         self._sweep_rates = sweeps.rates
         if printed.are_selected(self._fluid_constants):
             self._n_fields = printed.N_PRINTED_FIELDS
             self._sweep_rates = printed.rates
-        self.neighbourhood = Neighbourhood(domain, discretization, self._n_fields)
+        self.neighbourhood = Neighbourhood(domain, discretization, self._n_fields, precision)
         self._source = np.empty((self._n_fields, 0))
 
     def __call__(self, state: Array, time: float = 0.0) -> Array:
@@ -152,7 +158,8 @@ class Functional:
         near = self.neighbourhood
         constants = self._fluid_constants
         out = np.empty((3, density_fluctuation.size))
-        self._sweep_rates(near.blocks, near.search, sums.source, sums.regular, constants, out)
+        pairs = self._pair_constants
+        self._sweep_rates(near.blocks, near.search, sums.source, sums.regular, pairs, out)
         if sums.walls is not None:
             sums.walls.add_rates(constants, sums.regular, out[1:])
         if self.resistance is not None:
@@ -194,6 +201,7 @@ class Functional:
         if along is not None:
             sweeps.gather(blocks.particle, image, along, fields.FIRST, source)
             slopes = (np.empty((along.shape[1], 3, 2)),)
+        constants = self._pair_regularity
         sweeps.regularity(blocks, near.search, source, constants, wall_sums, regular, slopes)
         if self.discretization.free_surface:
             self._settle_spray(regular)
@@ -331,6 +339,11 @@ class Functional:
         ):
             return f"c0 = {sound:.4g} m/s is too low for the pressure: lower the Mach number"
         return "a smaller time step or a finer resolution may help"
+
+
+def _in_precision(constants: Constants, precision: np.dtype[np.floating]) -> Constants:
+    """Return a record of constants as numbers of a precision."""
+    return type(constants)._make(map(precision.type, constants))
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from sphrom.arrays import Array, Indices
 from sphrom.errors import UnstableError
@@ -84,14 +85,20 @@ class Neighbourhood:
     block_start: Indices
     reach: float
 
-    def __init__(self, domain: Domain, discretization: Discretization, n_fields: int) -> None:
+    def __init__(
+        self,
+        domain: Domain,
+        discretization: Discretization,
+        n_fields: int,
+        precision: DTypeLike = np.float64,
+    ) -> None:
         self._domain = domain
         self._spacing = discretization.particle_spacing
         self._support_radius = discretization.support_radius
         self._smoothing_length = discretization.smoothing_length
         self._move_limit = MOVE_RATIO * self._spacing
         self.built_at: Array | None = None
-        self.scratch = np.empty((N_CHUNKS, n_fields, 0))
+        self.scratch = np.empty((N_CHUNKS, n_fields, 0), precision)
 
     @property
     def search(self) -> Search:
@@ -146,7 +153,8 @@ class Neighbourhood:
     def _lengthen(self, length: int) -> None:
         """Keep memory for lists of a length."""
         if length > self.scratch.shape[2]:
-            self.scratch = np.empty((*self.scratch.shape[:2], length))
+            shape = (*self.scratch.shape[:2], length)
+            self.scratch = np.empty(shape, self.scratch.dtype)
 
 
 def _require_near(position: Array, domain: Domain, margin: float) -> None:

@@ -197,6 +197,7 @@ class ArtifactFolder:
             target.sections,
             lambda text: self._consequences(target, text),
             {role: self._identity(parent) for role, parent in target.existing_parents.items()},
+            self.case.scene.domain.n_dim,
         )
 
     def _consequences(self, target: Target, text: str) -> str:

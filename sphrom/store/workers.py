@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 import uuid
@@ -23,17 +24,19 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from subprocess import DEVNULL, PIPE, Popen
 from typing import Any
 
 from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError, ResourceError, UnstableError
+from sphrom.kernels import asked_for, when_compiling
 from sphrom.kernels.code_cache import CodeCacheWarning
 from sphrom.machine import one_blas_thread
 from sphrom.setup.context import StageContext
@@ -59,6 +62,8 @@ from sphrom.whole_files import explained, write_whole
 
 FEWER = 4
 """Factor that reduces the number of processes after one was lost."""
+MOST_AHEAD = 4
+"""Most processes that compile ahead: more would wait for each other."""
 CLEANING = 10.0
 """Time for a process to clean up before it is killed [s]."""
 PATIENCE = 15.0
@@ -227,6 +232,34 @@ class Workers:
         finally:
             pool.shutdown(cancel_futures=True)
             ours.close()
+
+
+@contextmanager
+def compiled_ahead() -> Iterator[None]:
+    """Within the block, once a kernel must be compiled, processes compile those needed later.
+
+    There are as many as threads, and none beside a single thread. They end when all is compiled, or
+    with the block.
+    """
+    with ExitStack() as block:
+
+        def start() -> None:
+            from sphrom.kernels.jit import threads_for
+
+            number = min(threads_for(asked_for()), MOST_AHEAD)
+            # Not by multiprocessing, which would run a program without a guard once more.
+            command = [sys.executable, "-m", "sphrom.kernels.ahead", str(number)]
+            for share in range(number if number > 1 else 0):
+                process = Popen([*command, str(share)], stdin=PIPE, stdout=DEVNULL, stderr=DEVNULL)
+                block.enter_context(process)
+                block.callback(process.kill)
+                threading.Thread(target=process.wait, daemon=True).start()
+
+        when_compiling.append(start)
+        try:
+            yield
+        finally:
+            when_compiling.remove(start)
 
 
 @contextmanager

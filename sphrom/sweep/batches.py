@@ -8,6 +8,7 @@ records of a task are written as one part, which is complete or absent.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -31,11 +32,15 @@ from sphrom.metrics.series import ESTIMATED, REGIMES
 from sphrom.models import fom, stages
 from sphrom.models.contract import Ability, ModelRun, family_of, model_of
 from sphrom.models.stored_run import StoredRun
+from sphrom.setup.context import StageContext
+from sphrom.setup.cost import runs_that_fit
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.tasks import Failure, Task
 from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
 
+LARGEST_BATCH, SMALLEST_BATCH = 1000, 50
+"""Limits of the runs on the reference points in one task; fewer end before a process starts."""
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """The words for the statuses."""
@@ -99,6 +104,15 @@ def runs_alone(case: Case) -> bool:
     """Return whether the runs of a case's sweep take no particles, and little time."""
     model = sweep_model(case)
     return model is not None and family_of(case, model).can(Ability.RUNS_ALONE)
+
+
+def number_of_workers(context: StageContext, n_runs: int) -> int:
+    """Return the number of processes of this machine for so many runs of a sweep."""
+    case = context.case
+    # A task has many runs from operators, because these are short.
+    n_tasks = math.ceil(n_runs / (SMALLEST_BATCH if runs_alone(case) else 1))
+    fitting = runs_that_fit(case, "fom" if sweep_model(case) is None else "rom")
+    return min(context.workers or fitting, n_tasks)
 
 
 class SweptModel:

@@ -33,7 +33,7 @@ from sphrom.metrics.series import ESTIMATED, OSCILLATION, REGIMES
 from sphrom.models.fom import ensure_packed
 from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import full_seconds, require_room, runs_that_fit
+from sphrom.setup.cost import full_seconds, require_room
 from sphrom.store.tasks import Failure, Task, files_of
 from sphrom.store.workers import start_workers
 from sphrom.store.workspace import Target, Workspace
@@ -42,14 +42,17 @@ from sphrom.sweep.batches import (
     COMPLETE,
     ERROR,
     FAILED,
+    LARGEST_BATCH,
     MEASURED_ERRORS,
     NOT_RUN,
     OSCILLATION_ERRORS,
     REGIME,
+    SMALLEST_BATCH,
     STATES,
     UNSTABLE,
     RunRecord,
     make_runs,
+    number_of_workers,
     parts_folder,
     read_points,
     read_records,
@@ -59,8 +62,6 @@ from sphrom.sweep.batches import (
 )
 from sphrom.text import counted, duration
 
-LARGEST_BATCH, SMALLEST_BATCH = 1000, 50
-"""Limits of the runs on the reference points in one task; fewer end before a process starts."""
 BATCHES_EACH = 4
 """Approximate number of tasks per worker, so that all end at a similar time."""
 MOST_SHOWN = 10
@@ -156,16 +157,12 @@ def _make(workspace: Workspace, points: Sequence[ParameterPoint]) -> list[Failur
         report.note(f"the sweep makes {runs}, which take about {seconds} on one core")
     for parent in workspace.sweep().parents.values():
         workspace.require(parent)
-    # A task has many runs from operators, because these are short.
-    in_batches = runs_alone(case)
-    n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
-    fitting = runs_that_fit(case, "fom" if model is None else "rom")
-    number = min(context.workers or fitting, n_tasks)
+    number = number_of_workers(context, len(points))
     # The case of a task has no values, because each process would parse a long list again.
     bare = replace(context, case=changed(case, sweep=case.sweep.of_any_values))
     with start_workers(number, context.scheduler, report) as workers:
         size = 1
-        if in_batches:
+        if runs_alone(case):
             share = math.ceil(len(points) / (BATCHES_EACH * workers.number))
             size = min(max(share, SMALLEST_BATCH), LARGEST_BATCH)
         shares = ((points[k : k + size], "") for k in range(0, len(points), size))

@@ -37,8 +37,10 @@ SIZES = (2, 5, 10, 20, 50)
 """Default numbers of modes, up to the size of the basis."""
 MOST_CLOSED_MODES = 20
 """Default limit of the modes of APG, whose cost grows with their fourth power."""
-OPERATORS = ("operators", "surface-operators")
+KINDS = ("operators", "surface-operators")
 """Kinds of artifacts that the models of a trade have of their own."""
+OPERATORS, REDUCED, PICTURE_OF_ALL = "operators", "reduced models", "picture"
+"""The parts of a trade; the variants of the full model come second."""
 COURANT_NUMBERS = (0.75, 1.5)
 """Approximate c0 dt / h of further full runs (Eq. 2.19)."""
 SAME_STEP = 1e-9
@@ -137,7 +139,8 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
     wider = changed(case, rom=(*case.rom, *models))
     parts = ("reference_bases", "memory_models", "corrected_bases", "surface_sizes")
     if any(getattr(wider.plan, part) != getattr(case.plan, part) for part in parts):
-        return Variant(context, wider, FOLDER, only=OPERATORS).made([stages.project])
+        with context.report.stage(OPERATORS):
+            return Variant(context, wider, FOLDER, only=KINDS).made([stages.project])
     workspace = Variant(context, wider).workspace
     workspace.require(workspace.operators())
     return workspace

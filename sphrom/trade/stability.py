@@ -45,7 +45,7 @@ OVER = {
 }
 ALL_WRONG = 100.0
 """Errors above which a run is not a result [%]."""
-WIDTH, HEIGHT, ABOUT, LETTERS = 8.5, 0.27, 0.55, 5.5
+WIDTH, HEIGHT, ABOUT, LETTERS = 8.5, 0.28, 0.55, 6.7
 """Width of maps, height of a row and of title with labels [inch], and font size in cells."""
 FINE_BELOW = (STEP, MEMORY, TIME)
 """Quantities without a lower limit, also below the least value of the runs."""

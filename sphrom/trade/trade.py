@@ -38,6 +38,8 @@ from sphrom.text import counted
 from sphrom.trade import weighing
 from sphrom.trade.candidates import (
     FOLDER,
+    PICTURE_OF_ALL,
+    REDUCED,
     candidates,
     first_model,
     make_runs,
@@ -58,6 +60,8 @@ MARGIN = 0.2
 """Margin around points for their names, over the axes."""
 APART = (0.2, 0.05)
 """Least distance between the names of points, horizontal or vertical, over the axes."""
+RIGHT = 0.7
+"""Place over the axes from which on names are on the left of their points."""
 ON_FRONT = "*"
 """Mark of an error that no model reaches in less time."""
 HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")
@@ -134,8 +138,9 @@ class _Trade:
             online_seconds=full_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
+        report = self.workspace.context.report
         found = [self._full(label, other) for label, other in variants(self.case).items()]
-        with self.workspace.context.report.progress("reduced models", len(self.models)) as advance:
+        with report.stage(REDUCED), report.progress(REDUCED, len(self.models)) as advance:
             for section in self.models:
                 found.append(self._reduced(section, full_seconds))
                 advance(1)
@@ -149,20 +154,17 @@ class _Trade:
         return Results(rows, without, [run for _, runs in found for run in runs], measure)
 
     def _full(self, label: str, variant: Case) -> Rows:
-        made = variant_of(self.workspace.context, variant)
-        unstable = make_runs(made, label, list(self.full))
-        workspace = made.workspace
-        step = variant.plan.steps.time_step
-        described = {
-            "model": label,
-            "role": "full",
-            "time_step": step,
-            "seconds": None if unstable else self._full_seconds(workspace, step),
-        }
-        runs = []
-        for point in self.full:
-            samples = None if point in unstable else self._sampled(workspace, point)
-            runs.append(self._row(point, samples, **described))
+        with self.workspace.context.report.stage(label):
+            made = variant_of(self.workspace.context, variant)
+            unstable = make_runs(made, label, list(self.full))
+            workspace = made.workspace
+            step = variant.plan.steps.time_step
+            seconds = None if unstable else self._full_seconds(workspace, step)
+            described = {"model": label, "role": "full", "time_step": step, "seconds": seconds}
+            runs = []
+            for point in self.full:
+                samples = None if point in unstable else self._sampled(workspace, point)
+                runs.append(self._row(point, samples, **described))
         resolution = variant.discretization.resolution
         return weighing.ModelRow.of(runs, family="full", kind="full", resolution=resolution), runs
 
@@ -293,7 +295,8 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
         seconds=seconds,
         judged_by=measure.words,
     )
-    save(draw_trade(results), folder / "trade.png")
+    with report.stage(PICTURE_OF_ALL):
+        save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst time, pressure "
         f"without its mean{'; in brackets the estimated error' if measure.measured else ''}; "
@@ -394,7 +397,8 @@ def draw_trade(results: Results) -> Figure:
                 last = at
                 name = row.model.removeprefix(f"{row.family}, ")
                 where: Any = {"textcoords": "offset points", "fontsize": 7.5}
-                axes.annotate(name, (seconds, error), (4, 4), **where)
+                way, side = (-1, "right") if at[0] > RIGHT else (1, "left")
+                axes.annotate(name, (seconds, error), (4 * way, 4), ha=side, **where)
     return figure
 
 

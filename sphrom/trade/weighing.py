@@ -23,7 +23,7 @@ from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
 from sphrom.metrics.measures import Samples
-from sphrom.metrics.quantities import COEFFICIENT, MEASURABLE, component_names, is_vector
+from sphrom.metrics.quantities import AXES, COEFFICIENT, MEASURABLE, component_names, is_vector
 from sphrom.plots.tables import columns, format_figure
 from sphrom.reduction.correction import spline_weights
 from sphrom.setup.assembly import scaled_parameters
@@ -35,7 +35,7 @@ SECONDS = {"unit": "s"}
 ESTIMATE = "measured_estimate"
 OSCILLATION = ("frequency", "amplitude")
 """The quantities that rank models when the trade's measurement is an oscillation."""
-PARTS = tuple(part for q in MEASURABLE if is_vector(q) for part in component_names(q))
+PARTS = tuple(part for q in MEASURABLE if is_vector(q) for part in component_names(q, len(AXES)))
 MEASURED = (
     *(
         f"measured_{q}_relative_l2{p}"
@@ -141,6 +141,7 @@ class Measure:
     """Name of a measurement whose error counts instead of those of the fields."""
     quantities: tuple[str, ...] = QUANTITIES
     """The quantities whose errors count."""
+    n_dim: int = 2
 
     @classmethod
     def of_case(cls, case: Case) -> Measure:
@@ -153,14 +154,16 @@ class Measure:
         # A torque may be zero except for noise, and a coefficient has the errors of its force.
         left_out = ("torque", COEFFICIENT)
         compared = (q for q in case.scene.measure[trade.measure].quantities if q not in left_out)
-        return cls(trade.probes, trade.measure, tuple(compared))
+        n_dim = case.scene.domain.n_dim
+        return cls(trade.probes, trade.measure, tuple(compared), n_dim)
 
     @property
     def parts(self) -> tuple[str, ...]:
         """The components of measured vectors, which a tolerance includes, too."""
         if self.measured is None:
             return ()
-        return tuple(p for q in self.quantities if is_vector(q) for p in component_names(q))
+        vectors = filter(is_vector, self.quantities)
+        return tuple(part for q in vectors for part in component_names(q, self.n_dim))
 
     def of(self, errors: Errors, quantity: str, *, peak: bool = False) -> float | None:
         """Return the error of a quantity [%], overall or at the worst time."""

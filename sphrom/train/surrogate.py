@@ -11,6 +11,7 @@ the frequencies and amplitudes of measured oscillations, over their values [%].
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 
 import numpy as np
@@ -36,8 +37,15 @@ MADE_HERE = ("basis", "spline", "b-spline", "operators")
 """Kinds of artifacts that these stages make."""
 FIGURES = OSCILLATION[:2]
 """Figures of oscillations with relative errors."""
+FIRST = "first full runs"
+"""The first part of a training."""
 NONE = np.full(len(LIMITED), np.inf)
 """The errors of a diverged run, and missing estimates."""
+
+
+def part(n_points: int) -> str:
+    """Return the name of the part of a training that begins with so many full runs."""
+    return f"model of {n_points} full runs"
 
 
 class Surrogate:
@@ -54,7 +62,9 @@ class Surrogate:
         self._section = section
         self.points = tuple(starts)
         """The training points."""
-        for point, reason in self._full_runs(starts).items():
+        with context.report.stage(FIRST):
+            problems = self._full_runs(starts)
+        for point, reason in problems.items():
             raise UnstableError(
                 f"{point.label}, a corner of the region: the full run became unstable: {reason}; "
                 "try a smaller region"
@@ -66,6 +76,10 @@ class Surrogate:
         context = self._context
         with start_workers(context.workers or 1, context.scheduler, context.report) as workers:
             return workers.number
+
+    def part(self) -> AbstractContextManager[None]:
+        """Show in a block that the next part of the training begins."""
+        return self._context.report.stage(part(len(self.points)))
 
     def evaluate(self, candidates: Sequence[ParameterPoint]) -> tuple[Array, Array]:
         """Train the model, and return its errors [%].

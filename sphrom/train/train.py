@@ -96,29 +96,30 @@ def greedy(
     stages: list[Stage] = []
     earlier: tuple[HeldOut, ...] = ()
     while True:
-        estimates, floor = surrogate.evaluate(candidates)
-        stage = Stage(surrogate.points, candidates, estimates, floor, earlier, section.fields)
-        stages.append(stage)
-        n_left = section.budget - len(stage.tried)
-        ended = ending(
-            stage.worst[0],
-            stage.worst_floor,
-            tolerance,
-            n_held_out=len(stage.complete),
-            n_left=n_left,
-        )
-        if ended is not None:
-            return stages, ended
-        chosen = choose(
-            region.places(candidates),
-            stage.judged,
-            region.places(stage.tried),
-            min(n_left, surrogate.at_once),
-            tolerance,
-        )
-        held_out = surrogate.extend({candidates[k]: estimates[k] for k in chosen.tolist()})
-        stages[-1] = replace(stage, held_out=held_out)
-        earlier += held_out
+        with surrogate.part():
+            estimates, floor = surrogate.evaluate(candidates)
+            stage = Stage(surrogate.points, candidates, estimates, floor, earlier, section.fields)
+            stages.append(stage)
+            n_left = section.budget - len(stage.tried)
+            ended = ending(
+                stage.worst[0],
+                stage.worst_floor,
+                tolerance,
+                n_held_out=len(stage.complete),
+                n_left=n_left,
+            )
+            if ended is not None:
+                return stages, ended
+            chosen = choose(
+                region.places(candidates),
+                stage.judged,
+                region.places(stage.tried),
+                min(n_left, surrogate.at_once),
+                tolerance,
+            )
+            held_out = surrogate.extend({candidates[k]: estimates[k] for k in chosen.tolist()})
+            stages[-1] = replace(stage, held_out=held_out)
+            earlier += held_out
 
 
 def _model(case: Case) -> ReducedModelSection:

@@ -18,7 +18,35 @@ LINK = re.compile(r"\]\((?!\w+:|#)([^)#\s]+)")
 
 
 def test_the_readme_is_short() -> None:
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 200
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def table_after(text: str, heading: str) -> list[list[str]]:
+    """Return the cells of the first table below a heading."""
+    rows = re.search(r"^\|.*?(?=\n\n)", text.split(f"\n## {heading}\n")[1], re.DOTALL | re.M)
+    assert rows is not None
+    return [[cell.strip() for cell in row.split("|")[1:-1]] for row in rows[0].splitlines()]
+
+
+def test_the_readme_and_the_first_page_show_the_same_program_and_table() -> None:
+    pages = [(ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/index.md")]
+    programs = [re.search(r"```python\n.*?```\n\n```text.*?```", page, re.DOTALL) for page in pages]
+    assert len({program and program[0] for program in programs}) == 1
+    readme, first_page = (table_after(page, "Accuracy and speed") for page in pages)
+    assert readme == first_page
+
+
+def test_figures_of_the_readme_are_those_of_the_page_on_other_methods() -> None:
+    rivals = (ROOT / "docs" / "rivals.md").read_text(encoding="utf-8")
+    scenes = [table_after(rivals, scene) for scene in ("Taylor-Green", "Lid-driven cavity")]
+    vortex, cavity = ({row[0].split(", pressure")[0]: row[1:] for row in rows} for rows in scenes)
+    readme = table_after((ROOT / "README.md").read_text(encoding="utf-8"), "Accuracy and speed")
+    columns = [(vortex, "Re 150"), (vortex, "Re 400"), (cavity, "Re 150"), (cavity, "Re 300")]
+    for name, *cells in readme[2:]:
+        stated = [table[name][table["ten modes"].index(column)] for table, column in columns]
+        last = [table[name][table["ten modes"].index("one run [ms]")] for table in (vortex, cavity)]
+        times = ", ".join(f"{float(time):g}" for time in last if time)
+        assert cells == [*stated, vortex[name][-1], times]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,6 +34,7 @@ def path(tmp_path: Path, arguments) -> Path:
     forces = type("Forces", (), {"walls": ("lid",), "__call__": lambda *_: {"lid": LOADS}})()
     path = tmp_path / "fom.h5"
     position = np.random.default_rng(0).random((3, 8))
+    arguments["origin"] = replace(arguments["origin"], n_dim=3)
     with create_artifact(path, "sphrom/trajectory", **arguments) as artifact:
         writer = TrajectoryWriter(artifact, 2, 8, 10.0, n_dim=3, forces=forces, fields=recorder)
         for step in range(2):
@@ -65,3 +67,11 @@ def test_paraview_sees_the_third_component(path: Path) -> None:
     with h5py.File(path) as file:
         points = file[f"{VIEW}/Points"][...]
         np.testing.assert_array_equal(points, file["position"][...].reshape(-1, 3))
+
+
+def test_file_itself_has_the_units_of_space(path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path) as file:
+        assert file["force/lid/pressure"].attrs["units"] == b"N"
+        assert file["measure/flux/flow_rate"].attrs["units"] == b"m3/s"
+        assert file["measure/spot/velocity"].attrs["units"] == b"m/s"

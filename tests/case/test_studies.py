@@ -110,6 +110,14 @@ def test_further_points_of_the_region_change_no_steps():
     assert after.plan.sound_speed == before.plan.sound_speed
 
 
+def test_only_the_points_from_which_training_starts_are_no_test_points():
+    region = {"reynolds": [50, 200]}
+    parameters = {"test": {"reynolds": [100]}}
+    assert case_of(region, parameters=parameters).plan.test_points == (ParameterPoint(100.0),)
+    with pytest.raises(CaseError, match="reynolds=200 is a training value"):
+        case_of(region, parameters={"test": {"reynolds": [200]}})
+
+
 def test_corners_come_first_and_count_once():
     region = Region(case_of({"reynolds": [50, 200]}))
     known = [ParameterPoint(100.0), ParameterPoint(200.0)]

@@ -32,9 +32,13 @@ def pages(folder: str) -> set[str]:
 
 
 FIRST = "tutorials/first-result"
-GO_ON = ("tutorials/thousand-questions", "tutorials/notebook", *sorted(pages("python")))
+MORE = ("tutorials/thousand-questions", "tutorials/notebook", "tutorials/hand-on")
+GO_ON = (*MORE, *sorted(pages("python")))
 """Pages that go on in the folder of the first tutorial."""
-BY_THEMSELVES = ["index", *sorted(pages("tutorials") - {FIRST, *GO_ON})]
+CONTROL = "tutorials/control"
+AFTER_CONTROL = "tutorials/measured-history"
+"""The page that goes on in the folder of the tutorial on control."""
+BY_THEMSELVES = ["index", *sorted(pages("tutorials") - {FIRST, *GO_ON, CONTROL, AFTER_CONTROL})]
 
 FENCE = re.compile(r"(?:`(?P<file>[\w.-]+)`:\n\n)?```(?P<kind>\w+)\n(?P<body>.*?)```\n", re.DOTALL)
 NUMBER = re.compile(r"\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -130,6 +134,12 @@ def test_pages_that_go_on(page: str, after_the_first: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize("page", BY_THEMSELVES)
 def test_pages_by_themselves(page: str, tmp_path: Path) -> None:
     follow(page, make_folder(tmp_path))
+
+
+def test_control_and_a_measured_history(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path)
+    follow(CONTROL, folder)
+    follow(AFTER_CONTROL, folder)
 
 
 def test_each_public_name_has_its_page() -> None:

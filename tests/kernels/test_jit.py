@@ -5,6 +5,9 @@ from __future__ import annotations
 import errno
 import math
 import os
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Never
@@ -91,6 +94,31 @@ def test_a_damaged_file_is_compiled_again(cache: Path) -> None:
     changed = kept.stat().st_mtime_ns
     assert rows_within_reach() == expected
     assert kept.stat().st_mtime_ns == changed  # loaded
+
+
+CLAIMING = (
+    "import sys, time, pathlib; from sphrom.kernels.code_cache import CodeCache; "
+    "CodeCache(pathlib.Path(sys.argv[1])).claim('some'); print(flush=True); time.sleep(60)"
+)
+
+
+def test_code_that_another_process_compiles_is_waited_for(tmp_path: Path, monkeypatch) -> None:
+    found = code_cache.CodeCache(tmp_path / "cache")
+    command = [sys.executable, "-c", CLAIMING, found.folder]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        monkeypatch.setattr(code_cache, "PATIENCE", 0.2)
+        started = time.monotonic()
+        found.claim("another")
+        assert time.monotonic() - started < 0.2
+        found.claim("some")
+        assert time.monotonic() - started >= 0.2
+        other.kill()
+        other.wait(30.0)
+        monkeypatch.setattr(code_cache, "PATIENCE", 60.0)
+        found.claim("some")  # a claim ends with its process
+    assert time.monotonic() - started < 30.0
 
 
 def fails(error: Exception) -> Callable[..., Never]:

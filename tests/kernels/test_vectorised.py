@@ -13,27 +13,36 @@ import subprocess
 import sys
 
 import numba
+import numpy as np
 import pytest
 
 from sphrom.kernels import fields, jit, printed, sums
 
 TARGET = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "", "NUMBA_DISABLE_JIT": "0"}
-NUMBER = numba.float64
-LISTS = (numba.float64[:, ::1], numba.int64)
-FLUID = numba.typeof(fields.FluidConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
-REGULARITY = numba.typeof(fields.RegularityConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
-PLACE = numba.typeof((1.0, 1.0))
-FLOW = numba.typeof(fields.Flow((1.0, 1.0), 1.0, (1.0, 1.0), 1.0))
-DERIVED = numba.typeof(fields.Derived(1.0, 1.0, (1.0, 1.0)))
-SLOPES = [numba.types.UniTuple(NUMBER, n) for n in (0, 3)]
-RATES = (PLACE, FLOW, DERIVED, PLACE, *LISTS, FLUID, NUMBER)
-KERNELS = [
-    *((sums.regularity_sums, (PLACE, FLOW, *LISTS, s, REGULARITY, NUMBER)) for s in SLOPES),
-    (sums.rate_sums, RATES),
-    (printed.printed_sums, RATES),
-]
+
+
+def pair_loops(precision: type) -> list[tuple]:
+    """Return the loops with default terms, and the types of their arguments."""
+    one = precision(1.0)
+    number = numba.typeof(one)
+    lists = (number[:, ::1], numba.int64)
+    place = numba.typeof((one, one))
+    flow = numba.typeof(fields.Flow((one, one), one, (one, one), one))
+    derived = numba.typeof(fields.Derived(one, one, (one, one)))
+    fluid = numba.typeof(fields.FluidConstants._make([one] * 6))
+    regularity = numba.typeof(fields.RegularityConstants._make([one] * 7))
+    slopes = [numba.types.UniTuple(number, n) for n in (0, 3)]
+    rates = (place, flow, derived, place, *lists, fluid, number)
+    return [
+        *((sums.regularity_sums, (place, flow, *lists, s, regularity, number)) for s in slopes),
+        (sums.rate_sums, rates),
+    ]
+
+
+DOUBLE = pair_loops(np.float64)
+KERNELS = [*DOUBLE, (printed.printed_sums, DOUBLE[-1][1]), *pair_loops(np.float32)]
 # A square root of a whole register of 256 bits; every distance takes one.
-PACKED_ROOT = re.compile(r"\bvsqrtpd\s[^\n]*%ymm")
+PACKED_ROOT = re.compile(r"\bvsqrtp[ds]\s[^\n]*%ymm")
 
 
 def has_packed_roots(function, signature: tuple, fast_math: set[str]) -> bool:

@@ -15,6 +15,7 @@ import pytest
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
+from sphrom.kernels.ahead import KERNELS
 from sphrom.models.points.fast_model import FastModel
 from sphrom.models.reference.stored import read_basis, read_points, read_splines
 from sphrom.models.stored_run import StoredRun
@@ -108,6 +109,12 @@ def test_a_run_from_operators_loads_no_kernel_of_sph(made, printed):
     late = {f"scipy.{name}" for name in ("interpolate", "optimize", "sparse", "spatial", "stats")}
     late |= {"sphrom.kernels.sweeps", "matplotlib", "pandas", "rich", "xarray"}
     assert not late & set(loaded.split())
+
+
+def test_kernels_compiled_ahead_have_the_types_of_the_calls_by_stages(made):
+    made(VORTEX)
+    unlike = {kernel.__name__ for kernel, types in KERNELS if types not in kernel.overloads}
+    assert unlike <= {"leave_out", "regularity"}  # not called with these types by this case
 
 
 @pytest.mark.parametrize("case", [VORTEX, LID, OPEN], ids=lambda case: case["name"])

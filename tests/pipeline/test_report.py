@@ -94,3 +94,11 @@ def test_browser_shows_the_page_and_runs_the_animation(place, sphrom, browser) -
     # Text, lines and what could not be shown are grey; fields fill much of the window.
     assert np.mean(np.ptp(pixels, axis=2) > 0.1) > 0.1
     assert (browser.requests, browser.problems) == ([], [])
+
+
+def test_pictures_scroll_on_a_phone_and_the_page_does_not(place, sphrom, browser) -> None:
+    sphrom("report", "tiny.yaml", code=0)
+    browser.open(place / "report.html", width=400)
+    assert browser.value("document.documentElement.scrollWidth") <= 400
+    widths = "[...document.querySelectorAll('.zoom img')].map(i => i.getBoundingClientRect().width)"
+    assert min(browser.value(widths)) > 700  # type of 6 points

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pandas import read_csv
 
 from sphrom.artifacts import open_artifact
 from sphrom.store.trajectory import read_quantities
@@ -97,3 +98,22 @@ def test_an_unstable_run_says_where_with_three_coordinates(written, refused) -> 
     place = rf"particle \d+ at \({number}, {number}, {number}\) m"
     assert re.search(rf"unstable .*{place}", error)
     assert "the time step is beyond its limit" in error
+
+
+def test_training_and_fits_work_in_three_dimensions(written, sphrom) -> None:
+    case = copy.deepcopy(VORTEX)
+    case["discretization"]["smoothing_length_ratio"] = 1.5
+    case["time"]["final_time"] = 0.7
+    case["parameters"] = {"test": {"reynolds": [30]}}
+    case["training"] = {"reynolds": [20, 50], "tolerance": "5%", "budget": 3}
+    folder = written(case)
+    sphrom("train", "vortex.yaml", "--threads", 1, "--workers", 1, code=0)
+    trained = folder / "training" / "case.yaml"
+    only = ("--only", "reynolds=30")
+    sphrom("fom", trained, "--threads", 1, *only, code=0)
+    places = ("--at", "1.5,0.7,2.0", "--at", "3.0,1.0,1.0")
+    sphrom("export", trained, "--to", "csv", *places, *only, code=0)
+    table = folder / "export" / "fom-reynolds30.csv"
+    sphrom("fit", trained, table, "--noise", "1%", "--name", "places", code=0)
+    found = read_csv(folder / "fit-places.csv").iloc[0]
+    assert found["value"] == pytest.approx(30.0, rel=0.1)

@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import PIPE, Popen
+from typing import Any
 
 import pytest
 import yaml
 
+from sphrom import kernels
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.console import SilentReporter
@@ -167,3 +171,32 @@ def test_tables_of_a_case_come_with_a_run(empty, sphrom, asked, monkeypatch, tmp
     Path("there/fom.h5").write_bytes(answer.files["fom-reynolds100.h5"])
     assert digests(Path("there")) == {"fom.h5": expected}
     assert not list((tmp_path / "scratch").iterdir())
+
+
+@pytest.mark.parametrize(("threads", "number"), [(1, 0), (2, 2)])
+def test_processes_that_compile_ahead_end_with_their_block(
+    monkeypatch, threads: int, number: int
+) -> None:
+    started: list[Popen[bytes]] = []
+
+    def start(*words: Any, **streams: Any) -> Popen[bytes]:
+        started.append(Popen(*words, **streams))
+        return started[-1]
+
+    monkeypatch.setattr(workers, "Popen", start)
+    monkeypatch.setattr("sphrom.kernels.jit.threads_for", lambda count: threads)
+    with workers.compiled_ahead():
+        assert not started
+        for call in kernels.when_compiling:
+            call()
+        assert len(started) == number
+    assert all(process.returncode is not None for process in started)
+    assert not kernels.when_compiling
+
+
+def test_a_process_that_compiles_ahead_ends_with_its_parent() -> None:
+    command = [sys.executable, "-m", "sphrom.kernels.ahead", "1", "0"]
+    with Popen(command, stdin=PIPE) as process:
+        assert process.stdin is not None
+        process.stdin.close()
+        assert process.wait(60.0) == 0

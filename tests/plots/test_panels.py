@@ -8,9 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 
+from sphrom.compare.comparison_figures import overview_rows
 from sphrom.errors import ArtifactError
 from sphrom.metrics.grids import Slices, grid_points
+from sphrom.plots.arrangement import WIDEST
 from sphrom.plots.frames import Frame
 from sphrom.plots.panels import Curve, Field, Panel, colour_scale, draw_grid, save
 
@@ -38,6 +42,36 @@ def test_pictures_and_curves_stand_in_one_figure(tmp_path: Path) -> None:
     assert 10_000 < path.stat().st_size < 2_000_000
     with pytest.raises(ArtifactError, match="was not written"):
         save(figure, tmp_path / "missing" / "plot.png")
+
+
+@pytest.mark.parametrize("aspect", [0.1, 0.25, 0.5, 1.0, 2.0, 4.0])
+def test_an_overview_fills_its_canvas_with_type_that_a_page_shows(aspect) -> None:
+    frame = Frame((0.0, 1.0 / aspect, 0.0, 1.0))
+    rows = overview_rows([FULL, REDUCED, DIFFERENCE], PANEL, aspect)
+    figure = draw_grid(rows, frame, scales={}, title="reynolds=150, t = 0.259 s")
+    assert figure.get_figwidth() <= WIDEST + 1e-9
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    boxes = [axes.get_tightbbox(renderer) for axes in figure.axes]
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    width, height = figure.bbox.size
+    assert sum(box.width * box.height for box in boxes) > 0.5 * width * height
+    for box in boxes:
+        assert min(box.x0, box.y0, width - box.x1, height - box.y1) > -1.0
+    shown = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    assert min(text.get_fontsize() for text in shown) >= 7.5
+    for axes in figure.axes:
+        if axes.images:  # boxes of pictures have their proportions, without a gap beside them
+            assert axes.bbox.height / axes.bbox.width == pytest.approx(aspect, rel=0.01)
+
+
+def test_curves_below_pictures_span_them_and_long_labels_are_wrapped() -> None:
+    label = "pressure, line: mean error over range (Eq. 4.1) [%], " * 2
+    rows = [[FULL, REDUCED, DIFFERENCE], [replace(PANEL, y_label=label)]]
+    first, _, third, below = draw_grid(rows, FRAME, scales={}).axes[:4]
+    assert below.get_position().x0 == pytest.approx(first.get_position().x0)
+    assert below.get_position().x1 == pytest.approx(third.get_position().x1)
+    assert "\n" in below.get_ylabel()
 
 
 def test_fields_of_one_label_share_a_scale_and_differences_are_about_zero() -> None:

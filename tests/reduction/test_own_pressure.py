@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.calibration import TrainingRun
+from sphrom.reduction.held_out import NEARER
 from sphrom.reduction.operator_projection import project_operators, project_pressure
 from sphrom.reduction.own_pressure import (
     CANDIDATES,
@@ -130,14 +131,18 @@ def filled(space: PressureSpace, setting, truth: str) -> tuple[PressureSpace, di
 def test_held_out_runs_choose_what_gives_their_pressure(settings, smooth, truth: str) -> None:
     setting = settings["lid"]
     space, runs = filled(space_of(setting, smooth), setting, truth)
-    chosen, errors, added = choose(space, dict.fromkeys(runs, runs), PLACES)
+    chosen, errors, added = choose(space, runs, dict.fromkeys(runs, runs), PLACES)
     expected = dict(zip(CANDIDATES, expected_errors(errors, PLACES), strict=True))
     assert chosen == truth, expected
     assert expected[truth] < 0.1
     for k, run in runs.items():  # the coordinates in the run that was left out
         missed = space.coordinates[k] - run.coordinates @ space.joint - added[k]
         share = np.linalg.norm(missed) / np.sqrt(space.squares[k].sum())
-        assert share == pytest.approx(errors[CANDIDATES.index(truth), k], abs=1e-7)
+        found = errors[CANDIDATES.index(truth), k]
+        if truth.endswith("ridge"):  # it also misses a part of runs that are known
+            assert found >= NEARER * share
+        else:
+            assert found == pytest.approx(NEARER * share, abs=1e-7)
 
 
 def test_some_modes_have_the_balance_of_all_with_the_others_zero(settings, smooth) -> None:
@@ -159,10 +164,27 @@ def test_a_run_that_diverged_does_not_count(settings, smooth) -> None:
     setting = settings["lid"]
     space, runs = filled(space_of(setting, smooth), setting, "balance")
     complete = {k: run for k, run in runs.items() if k != 2}
-    chosen, errors, _ = choose(space, dict.fromkeys(complete, complete), PLACES)
+    chosen, errors, _ = choose(space, complete, dict.fromkeys(complete, complete), PLACES)
     assert chosen == "balance"
     assert (errors[:, 2] > 1e3).all()
     assert expected_errors(errors, PLACES).max() < 1e3
+
+
+def test_interpolation_between_runs_is_better_than_from_one_of_them(settings, smooth) -> None:
+    setting = settings["lid"]
+    space, runs = filled(space_of(setting, smooth), setting, "joint")
+    runs = {k: runs[k] for k in (0, 1)}
+    size = np.sqrt(np.mean(space.squares))
+    first, other = np.linalg.qr(np.random.default_rng(6).standard_normal((6 * N_SNAPSHOTS, 2)))[0].T
+    added = size * np.stack((first, 0.3 * first + np.sqrt(1.0 - 0.3**2) * other))
+    found = space.coordinates[:2] + added.reshape(2, N_SNAPSHOTS, N_OWN)
+    whole = vars(space) | {"coordinates": found, "squares": np.sum(found**2, axis=2)}
+    predicted = dict.fromkeys(runs, runs)
+    chosen, _, held_out = choose(PressureSpace(**whole), runs, predicted, PLACES[:2])
+    assert chosen == "joint-interpolated"
+    for k in runs:  # although the joint pressure is nearer to a run that is left out
+        unseen = found[k] - runs[k].coordinates @ space.joint
+        assert np.linalg.norm(unseen - held_out[k]) > np.linalg.norm(unseen)
 
 
 def test_each_run_is_predicted_by_the_model_without_it(settings, smooth) -> None:
@@ -170,6 +192,6 @@ def test_each_run_is_predicted_by_the_model_without_it(settings, smooth) -> None
     space, runs = filled(space_of(setting, smooth), setting, "joint")
     at_rest = replace(runs[2], coordinates=np.zeros_like(runs[2].coordinates))
     predicted = dict.fromkeys(runs, runs) | {2: {**runs, 2: at_rest}}
-    _, errors, _ = choose(space, predicted, PLACES)
-    assert errors[0, 2] == pytest.approx(1.0)  # all of the pressure is missed
+    _, errors, _ = choose(space, runs, predicted, PLACES)
+    assert errors[0, 2] == pytest.approx(NEARER)  # all of the pressure is missed
     assert np.delete(errors[0], 2).max() < 1e-6

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sphrom.metrics.measures import Samples
 from sphrom.scenes.flows import LidDrivenCavity, LogisticForce, OpenCavity, TaylorGreen
 from sphrom.setup import particles
+from sphrom.setup.assembly import without_air
 
 
 def test_taylor_green(case_of) -> None:
@@ -71,3 +73,14 @@ def test_the_longest_standing_wave_has_a_half_of_its_length_in_the_box(
     """Between walls L apart sound stands at c0 / (2 L), c0 / L, ..."""
     period = case_of(kind).plan.longest_sound_period
     assert period == pytest.approx(2.0 * length / sound_speed, rel=1e-12)
+
+
+def test_samples_above_a_free_surface_have_no_value(case_of) -> None:
+    samples = Samples(np.zeros(1), np.array([[[1.0, 0.0], [0.0, 0.0]]]), np.array([[2.0, 0.0]]))
+    box = {"box": {"lower": [0, 0], "upper": [1, 1]}}
+    tank = box | {"fluid": {"level": 0.5, "gravity": 1.0}, "reference_length": 0.5}
+    shown = without_air(case_of("custom", scene=tank), samples)
+    np.testing.assert_array_equal(np.isnan(shown.pressure), [[False, True]])
+    np.testing.assert_array_equal(np.isnan(shown.speed), [[False, True]])
+    # Without a free surface, zeros are of fluid at rest.
+    assert without_air(case_of("lid-driven-cavity"), samples) is samples

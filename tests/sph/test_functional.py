@@ -56,6 +56,26 @@ def test_equals_the_printed_sums(
     wall_sums(build(ratio, **OPTIONS[options]), state).check()
 
 
+@pytest.mark.parametrize("ratio", [1.5, 2.0, 3.4])
+@pytest.mark.parametrize("walled", [False, True])
+def test_pairs_in_single_precision_are_accurate_to_it(
+    scatter: Callable, ratio: float, walled: bool
+) -> None:
+    """Differences of velocities and densities are rounded at 6e-8 of them, and divided by h."""
+    state = scatter(LOWER, SPACING, SHAPE, "jittered", seed=12)
+    domain = replace(DOMAIN, periodic=(not walled, not walled))
+    found = []
+    for precision in ("float64", "float32"):
+        sizes = Discretization(SPACING, ratio * SPACING, pair_precision=precision)
+        walls = domain.ghosts(SPACING, sizes.n_layers) if walled else None
+        functional = Functional(FLUID, sizes, domain, walls=walls)
+        rates = functional.evaluate(state[:2], state[2], state[3:], along=2.0 * state[2:])
+        assert functional(state).dtype == np.float64
+        found.append((functional(state), rates.slopes))
+    for double, single in zip(*found, strict=True):
+        assert 0.0 < np.max(np.abs(single - double)) < 2e-6 * np.max(np.abs(double))
+
+
 def test_the_limit_of_the_shifting_velocity_acts_on_some(scatter: Callable) -> None:
     state = scatter(LOWER, SPACING, SHAPE, "random", seed=15)
     rates = build(1.5).evaluate(state[:2], state[2], state[3:])

@@ -212,6 +212,14 @@ def test_a_measured_force_is_one_quantity_by_which_models_are_judged():
     assert said.startswith("within 1.5 % of force (relative L2 error of drag over time)")
 
 
+@pytest.mark.parametrize("across", [1.2, 1.8])
+def test_a_tolerance_includes_each_component_of_a_force_in_space(across: float):
+    judged = Measure("field", "drag", ("force",), n_dim=3)
+    found = {**NO_MEASURED, "measured_force_relative_l2": 1.0}
+    found["measured_force_z_relative_l2"] = across
+    assert Tolerance(1.5, 0.1).used(found, judged) == pytest.approx(across / 1.5)
+
+
 def run_at(point: ParameterPoint) -> Samples:
     """A growing flow whose speed is the logarithm of the Reynolds number."""
     time = np.linspace(0.0, 1.0, 5)

@@ -26,7 +26,9 @@ class Basis(Medium, kind="sphrom/basis"):
     """Trial bases and their singular values."""
 
     reference_position: Array = labelled("particle component", REFERENCE_POSITION)
-    volume: Array = dataset("particle", "m2", "area represented by each point", "V", "Eq. 3.15")
+    volume: Array = dataset(
+        "particle", "m2", "area or volume represented by each point", "V", "Eq. 3.15", in_space="m3"
+    )
     mean_density_fluctuation: Mapping[str, Array] = dataset(
         "snapshot",
         "kg/m3",
@@ -181,7 +183,9 @@ class TrainedModel(ModelFile, kind="sphrom/model"):
 
     bases: Mapping[str, TrainedBasis] = part()
     modes: Mapping[str, StoredBasis] = part(at="modes/*")
-    volume: Array = dataset("particle", "m2", "area represented by each point", "V", "Eq. 3.15")
+    volume: Array = dataset(
+        "particle", "m2", "area or volume represented by each point", "V", "Eq. 3.15", in_space="m3"
+    )
     reference_position: Array = labelled("particle component", REFERENCE_POSITION)
     starts: Starts | None = part(default=None)
 

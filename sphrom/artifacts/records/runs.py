@@ -52,7 +52,7 @@ class Settings(AtPoint):
     particle_spacing: float = attribute("m", "initial spacing of the particles")
     smoothing_length: float = attribute("m", "h of Eq. 2.2")
     time_step: float = attribute("s", "step of Eq. 2.18")
-    mass: float = attribute("kg/m", "mass of a particle, per metre of depth")
+    mass: float = attribute("kg/m", "mass of a particle", in_space="kg")
     box_length: tuple[float, ...] = attribute("m", "edges of the box")
 
 
@@ -88,8 +88,10 @@ class State(Start, Settings, kind="sphrom/state"):
 class Force(Record):
     """The force and torque of the fluid on a wall, per metre of depth; the force alone in space."""
 
-    pressure: Array = dataset("snapshot component", "N/m", "force of the pressure on a wall")
-    viscous: Array = dataset("snapshot component", "N/m", "viscous force on a wall")
+    pressure: Array = dataset(
+        "snapshot component", "N/m", "force of the pressure on a wall", in_space="N"
+    )
+    viscous: Array = dataset("snapshot component", "N/m", "viscous force on a wall", in_space="N")
     pressure_torque: Array | None = dataset(
         "snapshot", "N", f"torque of the pressure {_ABOUT}, anticlockwise", default=None
     )

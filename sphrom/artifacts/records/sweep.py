@@ -96,9 +96,11 @@ class Sweep(Record, kind="sphrom/sweep"):
         "indices of the complete runs, from zero; the other datasets are of these runs",
     )
     time_step: Array = dataset("complete_run", "s", "time step of each run")
-    kinetic_energy: Array = dataset("complete_run", "J/m", "kinetic energy at the end")
+    kinetic_energy: Array = dataset(
+        "complete_run", "J/m", "kinetic energy at the end", in_space="J"
+    )
     kinetic_energy_over_time: Array | None = dataset(
-        "complete_run snapshot", "J/m", "kinetic energy", default=None
+        "complete_run snapshot", "J/m", "kinetic energy", in_space="J", default=None
     )
     largest_speed: Array = dataset(
         "complete_run", "m/s", "largest speed of all points and snapshots"

@@ -76,13 +76,13 @@ def pressure_space(
 
 
 def report_pressure(workspace: Workspace, model: str, basis: str, trained: TrainedBasis) -> None:
-    """Report the errors of all candidates for the pressure, and which of them was chosen."""
+    """Report the expected errors of all candidates for the pressure, and the chosen one."""
     if (errors := trained.pressure_errors) is None:
         return
     (chosen,) = trained.pressure or (JOINT,)
     expected = map(format_figure, 100.0 * expected_errors(errors, trained.places))
     workspace.context.report.table(
-        f"pressure of {model}, basis {basis}: {chosen}, by held-out training runs",
-        ("pressure", "error [%]"),
+        f"pressure of {model}, basis {basis}: {chosen}, by training runs",
+        ("pressure", "expected error [%]"),
         list(zip(CANDIDATES, expected, strict=True)),
     )

@@ -308,7 +308,7 @@ class _Training:
         predicted = {k: known for k, known in without.items() if k in known and len(known) > 1}
         if len(runs) < 2 or not predicted:
             return trained, {}
-        chosen, errors, held_out = choose(space, predicted, trained.places)
+        chosen, errors, held_out = choose(space, runs, predicted, trained.places)
         trained = replace(trained, pressure_errors=errors)
         if chosen == JOINT:
             return trained, {}
