@@ -2,21 +2,30 @@
 
 `docs/paper/<scene>.md` has the claims as a table from `<scene>.csv`, the costs as one from
 `<scene>-costs.csv`, the reasons for differences, the figures as small pictures, and the time taken.
+`<scene>.json` says how each reading was made. If only one reading was run, pictures and columns of
+the other one stay. Without runs, pages follow what the folder has and the present reasons:
+
+    python scripts/paper_docs.py docs/paper
 """
 
 from __future__ import annotations
 
+import csv
+import json
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import paper_page
 from small_picture import write_small
 
+from sphrom.case.loader import load_case
 from sphrom.compare.figures import FOLDER
-from sphrom.plots.tables import format_figure, read_json
+from sphrom.plots.tables import MISSING, format_figure, read_json
 
+CASES = Path(__file__).parent.parent / "cases"
 TITLES = {
     "taylor-green": "Taylor-Green vortex",
     "lid-driven-cavity": "Lid-driven cavity",
@@ -34,21 +43,43 @@ KEPT_RIGHT = {
 """Corrections that the cases as printed have all the same."""
 WIDTH = 1000
 """Of a picture, in pixels: there are many."""
+COLUMNS = {
+    "corrected": ("corrected", "corrected, fast model", "corrected, best possible"),
+    "as printed": ("as printed",),
+}
+"""Columns of the claims by reading."""
 
 
 def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
     """Write the page of a scene into a folder of the documentation, and return its path.
 
     `source` is the folder of the reproduction, with its claims.csv. A case whose full run was
-    unstable has no figures.
+    unstable has no figures. A reading without a run keeps what the folder has of it.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(source / "claims.csv", folder / f"{scene}.csv")
-    shutil.copyfile(source / "costs.csv", folder / f"{scene}-costs.csv")
+    readings = {run.reading for run in runs}
+    _write_claims(source / "claims.csv", folder / f"{scene}.csv", readings)
+    if "corrected" in readings:
+        shutil.copyfile(source / "costs.csv", folder / f"{scene}-costs.csv")
+    for run in runs:
+        _copy_figures(folder, scene, run)
+    origins = folder / f"{scene}.json"
+    made = json.loads(origins.read_text(encoding="utf-8")) if origins.is_file() else {}
+    made |= {run.reading: _origin(run, command) for run in runs}
+    made = {reading: made[reading] for reading in COLUMNS if reading in made}
+    origins.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+    return write_page(folder, scene, made)
+
+
+def write_page(folder: Path, scene: str, made: Mapping[str, Mapping[str, str]]) -> Path:
+    """Write the page of a scene from the tables and pictures in a folder, and return its path.
+
+    `made` says by reading how they were made.
+    """
     lines = [
         f"# {TITLES[scene]}: the paper, and here",
         "",
-        paper_page.lead_of(runs),
+        paper_page.lead_of({reading: origin["size"] for reading, origin in made.items()}),
         *_corrections(scene),
         "",
         "## Claims",
@@ -60,16 +91,35 @@ def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: 
         *_readings(scene),
         "## Figures",
         "",
-        *_figures(folder, scene, runs),
+        *_figures(folder, scene, made),
         "## How it was made",
         "",
-        f"`{command}`, on {paper_page.machine()}.",
-        "",
-        *_origin(runs),
+        *_made(made),
     ]
     page = folder / f"{scene}.md"
     page.write_text("\n".join(lines), encoding="utf-8")
     return page
+
+
+def _write_claims(source: Path, target: Path, readings: Container[str]) -> None:
+    """Write the table of claims: columns of readings that were not run stay as they are."""
+    rows = _rows(source)
+    old = {_claim(row): row for row in _rows(target)} if target.is_file() else {}
+    kept = [name for reading, names in COLUMNS.items() if reading not in readings for name in names]
+    for row in rows:
+        stored = old.get(_claim(row), {})
+        row.update({name: stored.get(name, MISSING) for name in kept})
+    cells = [[row.get(name, MISSING) for name in paper_page.HEADINGS] for row in rows]
+    paper_page.write_csv(target, [paper_page.HEADINGS, *cells])
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _claim(row: Mapping[str, str]) -> tuple[str, str]:
+    return row[paper_page.HEADINGS[0]], row[paper_page.HEADINGS[1]]
 
 
 def _corrections(scene: str) -> Iterator[str]:
@@ -92,33 +142,56 @@ def _readings(scene: str) -> Iterator[str]:
     yield ""
 
 
-def _figures(folder: Path, scene: str, runs: Sequence[Any]) -> Iterator[str]:
-    """Yield each figure by its number, from both cases, and write the pictures."""
-    figures = {f.name: f for run in runs for f in run.case.compare.figures}
-    for figure in figures.values():
-        pictures = [(r, r.out / FOLDER / f"{figure.name}.png") for r in runs]
-        pictures = [(run, path) for run, path in pictures if path.is_file()]
-        if pictures:
+def _copy_figures(folder: Path, scene: str, run: Any) -> None:
+    """Write small copies of the pictures of a case."""
+    for figure in run.case.compare.figures:
+        path = run.out / FOLDER / f"{figure.name}.png"
+        if path.is_file():
+            write_small(path, folder / _picture(scene, figure.name, run.reading), WIDTH)
+
+
+def _picture(scene: str, figure: str, reading: str) -> str:
+    return f"{scene}-{figure}-{reading.replace(' ', '-')}.png"
+
+
+def _figures(folder: Path, scene: str, made: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
+    """Yield each figure by its number, from both cases, with the size and the command."""
+    for figure in load_case(CASES / f"{scene.replace('-', '_')}.yaml").compare.figures:
+        names = {reading: _picture(scene, figure.name, reading) for reading in made}
+        names = {reading: name for reading, name in names.items() if (folder / name).is_file()}
+        if names:
             yield from (f"### {paper_page.numbered(figure.name)}", "")
-        for run, path in pictures:
-            name = f"{scene}-{figure.name}-{run.reading.replace(' ', '-')}.png"
-            write_small(path, folder / name, WIDTH)
-            yield from (f"![{figure.caption} ({run.reading})]({name})", "")
-            yield from (f"*{run.reading.capitalize()}. {figure.caption}*", "")
+        for reading, name in names.items():
+            yield from (f"![{figure.caption} ({reading})]({name})", "")
+            how = f"{made[reading]['size']}, `{made[reading]['command']}`"
+            yield from (f"*{figure.caption} {reading.capitalize()}: {how}.*", "")
 
 
-def _origin(runs: Sequence[Any]) -> Iterator[str]:
-    """Yield the version, the date and the wall-clock of each case."""
-    for run in runs:
-        name = run.reading.capitalize()
-        if run.failure_file.is_file():
-            why = run.failure_file.read_text(encoding="utf-8").strip()
-            yield from (f"{name}, the full model is unstable: {why}", "")
-            continue
-        tables = read_json(run.out / "compare.json", "sphrom compare CASE", {})
-        about: Mapping[str, Any] = tables["about"]
-        seconds = paper_page.stage_seconds(tables)
-        taken = ", ".join(f"{stage} {format_figure(total)}" for stage, total in seconds.items())
-        made = f"{about['software']}, compared {about['date']}, {about['threads']} threads"
-        hours = paper_page.hours_of_steps(run.case, tables)
-        yield from (f"{name}: {made}. Wall-clock of the stages [s]: {taken}. {hours}".rstrip(), "")
+def _made(made: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
+    """Yield the command, the machine, the version, the date and the wall-clock of each case."""
+    for reading, origin in made.items():
+        how = f"`{origin['command']}`, on {origin['machine']}"
+        yield from (f"{reading.capitalize()}: {how}. {origin['made']}", "")
+
+
+def _origin(run: Any, command: str) -> dict[str, str]:
+    """Return how a case was made: size, command, machine, version, date and wall-clock."""
+    machine = paper_page.machine()
+    origin = {"size": paper_page.size_of(run.case), "command": command, "machine": machine}
+    if run.failure_file.is_file():
+        why = run.failure_file.read_text(encoding="utf-8").strip()
+        return {**origin, "made": f"The full model is unstable: {why}"}
+    tables = read_json(run.out / "compare.json", "sphrom compare CASE", {})
+    about: Mapping[str, Any] = tables["about"]
+    seconds = paper_page.stage_seconds(tables)
+    taken = ", ".join(f"{stage} {format_figure(total)}" for stage, total in seconds.items())
+    threads = paper_page.counted(about["threads"], "thread")
+    by = f"{about['software']}, compared {about['date']}, {threads}"
+    hours = paper_page.hours_of_steps(run.case, tables)
+    return {**origin, "made": f"{by}. Wall-clock of the stages [s]: {taken}. {hours}".rstrip()}
+
+
+if __name__ == "__main__":
+    for name in TITLES:
+        origins = Path(sys.argv[1]) / f"{name}.json"
+        print(write_page(origins.parent, name, json.loads(origins.read_text(encoding="utf-8"))))

@@ -27,6 +27,7 @@ from sphrom.console import Reporter
 from sphrom.machine import physical_ram
 from sphrom.metrics.histories import compression_factors
 from sphrom.metrics.series import dominant_frequency
+from sphrom.models.stored_run import StoredRun
 from sphrom.plots.tables import MISSING, format_figure, read_json
 from sphrom.report.page import Html, element, picture, render, table
 from sphrom.setup.context import StageContext
@@ -55,8 +56,9 @@ CAPTION = (
     "the lead over the full run in periods, least to largest. Shares as printed are of stacked "
     "density and velocities; corrected shares are of the acoustic product, which leaves out the "
     "mean density. The compression is N_d / M, with five values for each particle. Words instead "
-    "of numbers describe the figures of the documentation. The rows of full runs are additions: "
-    "the paper does not give their errors."
+    "of numbers describe the figures of the documentation. A dash stands where nothing can be "
+    "compared or nothing was measured. The rows of full runs are additions: the paper does not "
+    "give their errors."
 )
 COSTS = "model|modes|its step [s]|full run's step [s]|model [s]|full run [s]|speed-up|its range"
 COST_COLUMNS = ["reduced_step", "full_step", "reduced_seconds", "full_seconds", "speed_up"]
@@ -67,7 +69,6 @@ COST_CAPTION = (
     "of steps each, and the least time counts. The speed-up is the ratio of the least times; its "
     "range is that of single turns."
 )
-NOT_MEASURED = "not measured"
 
 
 class Result:
@@ -76,8 +77,8 @@ class Result:
     def __init__(self, run: Any, stack: ExitStack) -> None:
         context = StageContext(run.case, run.out, False, None, Reporter(quiet=True))
         self.case, self.out, self.reading = run.case, run.out, run.reading
-        workspace = Workspace(context)
-        self.comparison = stack.enter_context(StoredComparison.of(workspace))
+        self.workspace = Workspace(context)
+        self.comparison = stack.enter_context(StoredComparison.of(self.workspace))
         self.tables = read_json(run.out / "compare.json", "sphrom compare CASE", {})
 
     def rows(self, table: str, **wanted: object) -> list[Mapping[str, Any]]:
@@ -113,23 +114,25 @@ def write(folder: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
         ("How it was made", [*_failures(runs), *_origin(results, command)]),
     ]
     title = f"{scene}: the paper, and here"
-    lead = lead_of(runs)
+    lead = lead_of({run.reading: size_of(run.case) for run in runs})
     footer = f"Written {datetime.now(UTC).isoformat(timespec='seconds')} by: {command}"
     page = folder / "index.html"
     write_whole(page, render(title, lead, sections, footer).encode())
     return page
 
 
-def lead_of(runs: Sequence[Any]) -> str:
-    """Return what a page has, and how many particles its cases have."""
-    sizes = [
-        f"{run.reading} on {run.case.plan.n_particles:,} particles "
-        f"{format_figure(1e3 * run.case.plan.particle_spacing)} mm apart"
-        for run in runs
-    ]
+def size_of(case: Case) -> str:
+    """Return how many particles a case has, and how far apart."""
+    spacing = format_figure(1e3 * case.plan.particle_spacing)
+    return f"{case.plan.n_particles:,} particles {spacing} mm apart"
+
+
+def lead_of(sizes: Mapping[str, str]) -> str:
+    """Return what a page has, and the sizes of its cases by reading."""
     return (
         "The figures and claims of Rodriguez et al. on this flow, each beside our result: "
-        f"{' and '.join(sizes)}. Fast models are those of the corrected case."
+        f"{' and '.join(f'{reading} on {size}' for reading, size in sizes.items())}. Fast models "
+        "are those of the corrected case."
     )
 
 
@@ -198,8 +201,10 @@ def _error(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
         series = result.comparison.errors(run, point)
         if series is None or series.status != "complete":
             time, _ = result.comparison.discrepancy(run, point, claim["quantity"], "field")
-            unstable.append(f"{time[-1]:.3g} s" if len(time) else "the start")
-    after = [f"unstable after {', '.join(dict.fromkeys(unstable))}"] if unstable else []
+            begins = result.case.compare.from_time or 0.0
+            end = f"after {time[-1]:.3g} s" if len(time) else f"before {begins:g} s"
+            unstable.append(f"unstable {end}")
+    after = [", ".join(dict.fromkeys(unstable))] if unstable else []
     return "; ".join([*after, *_peaks(result, claim, [run] * len(points))]) or MISSING
 
 
@@ -387,9 +392,19 @@ def _reynolds(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
     return f"{rows[0]['largest_speed'] * claim['length'] / viscosity:,.0f}" if rows else MISSING
 
 
+def _density(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
+    """The largest deviation of the full run's density from the reference density."""
+    (point,) = _points(claim)
+    if not result.workspace.full_run(point).path.is_file():
+        return MISSING
+    with StoredRun.opened(result.workspace, point, None) as full:
+        largest = max(float(np.abs(full.state(k)[0]).max()) for k in range(len(full.time)))
+    return f"{_plain(100.0 * largest / result.case.fluid.reference_density)} %"
+
+
 def _seen(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
     """The words that a claim has for what the pictures of a case show."""
-    return str(claim.get("seen", {}).get(result.reading, NOT_MEASURED))
+    return str(claim.get("seen", {}).get(result.reading, MISSING))
 
 
 FINDERS: Mapping[str, Callable[[Result, Mapping[str, Any], str | None], str]] = {
@@ -404,6 +419,7 @@ FINDERS: Mapping[str, Callable[[Result, Mapping[str, Any], str | None], str]] = 
     "trough": _trough,
     "roughness": _roughness,
     "reynolds": _reynolds,
+    "density": _density,
     "seen": _seen,
 }
 
@@ -460,7 +476,8 @@ def _origin(results: Mapping[str, Result], command: str) -> Iterator[Html]:
         seconds = stage_seconds(result.tables)
         rows += [[reading, stage, format_figure(total)] for stage, total in seconds.items()]
         about = result.tables["about"]
-        origin = f"{about['software']}, compared {about['date']}, {about['threads']} threads."
+        threads = counted(about["threads"], "thread")
+        origin = f"{about['software']}, compared {about['date']}, {threads}."
         hours = hours_of_steps(result.case, result.tables)
         yield element("p", f"{reading.capitalize()}: {origin} {hours}")
     if rows:
@@ -495,13 +512,14 @@ def hours_of_steps(case: Case, tables: Mapping[str, Any]) -> str:
     longer = timings[0]["full_step"] / plan.time_step
     steps = longer * (plan.n_steps + plan.n_spin_up_steps) / plan.n_steps
     hours = float(np.mean(list(full.values()))) * steps * len(case.plan.points) / 3600.0
-    told = f"{_counted(len(case.plan.points), 'full run')} {format_figure(hours)}"
+    told = f"{counted(len(case.plan.points), 'full run')} {format_figure(hours)}"
     reduced = [row["reduced_seconds"] for row in timings if row["model"] in names]
     if reduced:
-        count = _counted(len(reduced), "reduced run")
+        count = counted(len(reduced), "reduced run")
         told += f", {count} on particles {format_figure(sum(reduced) / 3600.0)}"
     return f"Hours of time steps alone, each counted at the shortest measured time: {told}."
 
 
-def _counted(number: int, what: str) -> str:
+def counted(number: int, what: str) -> str:
+    """Return a number with what it counts."""
     return f"{number} {what}{'s' if number > 1 else ''}"

@@ -14,6 +14,7 @@ printed can have a factor of its own (`--printed-coarser`).
 from __future__ import annotations
 
 import argparse
+import shlex
 import shutil
 import subprocess
 import sys
@@ -104,7 +105,7 @@ def _command(arguments: argparse.Namespace) -> str:
     if arguments.printed_coarser is not None and arguments.reading != "corrected":
         size += [f"--printed-coarser {arguments.printed_coarser:g}"]
     given = [f"--set {override}" for override in arguments.overrides]
-    given += [f"--reading '{arguments.reading}'"] if arguments.reading else []
+    given += [f"--reading {shlex.quote(arguments.reading)}"] if arguments.reading else []
     return " ".join(["python scripts/reproduce.py", arguments.scene, *size, *given])
 
 

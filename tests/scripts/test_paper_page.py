@@ -29,3 +29,15 @@ def test_costs_are_means_over_the_parameters_of_a_model(script) -> None:
     assert [cells[0] for cells in rows] == ["fast", "apg"]
     assert rows[0][1:] == ["5", "2.00", "2.00", "2.00", "2.00", "3.00", "2.00 to 2.00"]
     assert len(rows[0]) == len(page.COSTS.split("|"))
+
+
+def test_claims_of_a_reading_that_was_not_run_stay_in_the_documentation(script, tmp_path) -> None:
+    docs, headings = script("paper_docs"), script("paper_page").HEADINGS
+    write_csv = script("paper_page").write_csv
+    fresh, stored = tmp_path / "claims.csv", tmp_path / "scene.csv"
+    corrected = [name for name in headings if name != "as printed"]
+    write_csv(fresh, [corrected, ["Fig. 1", "u", "2", "3", "4", "5"], ["Fig. 2", *"v12345"[:5]]])
+    write_csv(stored, [headings, ["Fig. 1", "u", "2", "7", "8", "9", "9"], ["gone", *"u12345"]])
+    docs._write_claims(fresh, stored, {"corrected"})
+    rows = stored.read_text(encoding="utf-8").splitlines()
+    assert rows[1:] == ["Fig. 1,u,2,7,3,4,5", "Fig. 2,v,1,–,2,3,4"]

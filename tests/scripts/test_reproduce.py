@@ -18,7 +18,7 @@ KINDS = {"share": "space basis modes", "compression": "run reynolds", "error": "
          "frequency": "run reynolds", "phase": "run reynolds", "exact": "quantity reynolds",
          "reference": "profile state reynolds", "amplitude": "run quantity time reynolds",
          "trough": "run quantity time between reynolds", "seen": "", "reynolds": "length reynolds",
-         "roughness": "run quantity time between reynolds"}  # fmt: skip
+         "roughness": "run quantity time between reynolds", "density": "reynolds"}  # fmt: skip
 
 
 @pytest.mark.parametrize("scene", SCENES)
