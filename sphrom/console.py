@@ -32,7 +32,8 @@ LINE_INTERVAL = 10.0
 LONGEST_INTERVAL = 600.0
 """Longest interval between such lines [s]."""
 LONGEST_LINE = 500
-"""Most characters of an error or a warning; the texts that they quote may be of any length."""
+"""Largest number of characters of an error or a warning; the texts that they quote may be of any
+length."""
 PROSE = 100
 """Characters of a line of prose where there is no terminal."""
 TOGETHER = re.compile("`[^`]*`|sphrom [^`]*$| %")
@@ -89,7 +90,7 @@ def _show_table(columns: Sequence[Sequence[str]]) -> None:
 
 
 def _new_bars() -> Any:
-    """Return bars that ask about four times a second what they show."""
+    """Return bars that update their text about four times a second."""
     from rich import progress
 
     class Bars(progress.Progress):
@@ -109,7 +110,7 @@ def _new_bars() -> Any:
 
 
 Shown = Callable[[], tuple[str, float | None, str]]
-"""A function that returns the text of a bar, the share done if it is known, and a text beside."""
+"""A function that returns a bar's text, the share done if known, and a text beside the bar."""
 
 
 @contextmanager
@@ -132,7 +133,7 @@ def _bar(shown: Shown) -> Iterator[None]:
 
 
 def show_compiling() -> None:
-    """From now on, show below other bars which function is compiled, and which ones for it."""
+    """From now on, show below other bars the functions that are being compiled."""
     from numba.core import event
 
     class Compiling(event.Listener):

@@ -63,7 +63,7 @@ class Field:
     """`float64`, `int64` or `tensors` for datasets; `float`, `floats` (a vector), `int` or `text`
     for attributes; `group`."""
     units: str = ""
-    """In a plane, where extensive quantities are per metre of depth."""
+    """The unit in a plane, where extensive quantities are per metre of depth."""
     meaning: str = ""
     in_space: str = ""
     """The units in three dimensions, if they are others."""

@@ -1,8 +1,8 @@
 """The progress of a command: the share of all its work that is done, and the time left.
 
-Work is measured in seconds of its estimate. Some of it is counted, item by item. Other work runs by
-the clock, ever more slowly where it takes longer than was estimated. The pace is the time that all
-work took until now over its estimate.
+Work is measured in seconds of its estimate. Some work is counted, item by item. The progress of
+other work follows the clock, ever more slowly if it takes longer than estimated. The pace is the
+ratio of the time of all work so far to its estimate.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sphrom.text import duration
 MOST_SHOWN = 0.99
 """Largest share that is shown: work whose end is near isn't done yet."""
 LEAST_LEFT = 1.0
-"""Least time left that is told [s]."""
+"""Smallest time left that is shown [s]."""
 PRIOR = 0.01
 """Share of all work that counts as done at the estimated pace, so that the first items don't set
 the pace alone."""
@@ -26,12 +26,12 @@ the pace alone."""
 
 @dataclass
 class _Clock:
-    """The time without that of compiling, which tells nothing about the time of other work."""
+    """A clock that stops during compilation, which says nothing about the time of other work."""
 
     lost: float = 0.0
-    """Time of compiling until now [s]."""
+    """Time of compilation so far [s]."""
     stopped: float | None = None
-    """When the compiling began that goes on."""
+    """Start of the current compilation."""
 
     def now(self) -> float:
         return (time.monotonic() if self.stopped is None else self.stopped) - self.lost
@@ -53,9 +53,10 @@ class StageTime:
 
     seconds: float
     items: Mapping[str, float] = field(default_factory=dict)
-    """Of each progress within it, by the description up to a comma."""
+    """The time of each progress within it [s], by the description up to a comma."""
     uncounted: float = 0.0
-    """The part of it before the first item that is counted, or all of it; it runs by the clock."""
+    """The part before the first counted item, or the whole stage; its progress follows the
+    clock."""
     at_once: int = 1
     """The number of items that are made at the same time."""
     is_limit: bool = False
@@ -65,8 +66,8 @@ class StageTime:
 class Progress:
     """How much of all stages is done, in seconds of their estimate, and the time left.
 
-    Work that nothing counts runs by the clock, ever more slowly where it takes longer than was
-    estimated. The pace is the time that all work took until now, over its estimate.
+    The progress of work that is not counted follows the clock, ever more slowly if it takes longer
+    than estimated. The pace is the ratio of the time of all work so far to its estimate.
     """
 
     def __init__(self) -> None:
@@ -85,7 +86,7 @@ class Progress:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count a stage; one that ends early, because artifacts exist, was less work."""
+        """Count a stage; if it ends early because artifacts exist, it was less work."""
         n_stages = len(self.stages)
         place = f"stage {[*self.stages].index(name) + 1} of {n_stages}: " * (n_stages > 1)
         self._title = f"{place}{name}"
@@ -128,7 +129,7 @@ class Progress:
         return (clock.now() - self._start + least) / (reached + least)
 
     def _reached(self) -> float:
-        """Return the work done, with the likely part of that which is not counted yet."""
+        """Return the work done, including a likely part of the item in progress."""
         most = min(self._uncounted + self._ahead, self._end - self._done)
         likely = 0.0
         if most > 0.0:

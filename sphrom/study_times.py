@@ -27,7 +27,7 @@ from sphrom.setup.cost import (
 WEIGHING = 0.15
 """Time to run, time and compare a reduced model at one point [s]."""
 ESTIMATING = 5.0
-"""Time of a run with its error estimate, over that of the run."""
+"""Time of a run with its error estimate, relative to that of the run."""
 SNAPSHOT = 0.01
 """Time to import one snapshot [s]."""
 QUICK, ALL = 15, 60

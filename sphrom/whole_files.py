@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
 TIMES_SIZE = 8
-"""Memory to read a file, over its size; it is large because words and numbers become objects."""
+"""Memory to read a file, relative to its size; it is large because words and numbers become
+objects."""
 
 
 class Unreadable(ValueError):

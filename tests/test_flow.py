@@ -91,7 +91,7 @@ def test_other_processes_refuse_a_function(tmp_path, monkeypatch) -> None:
     text = of_functions.case.text
     assert case_of_text(text) == of_functions.case
     monkeypatch.setattr(functions, "_FUNCTIONS", {})
-    with pytest.raises(CaseError, match=r"scene.functions.body_force_0: is a function of Python"):
+    with pytest.raises(CaseError, match=r"scene.functions.body_force_0: is a Python function"):
         case_of_text(text)
 
 
@@ -124,7 +124,7 @@ def test_models_refuse_terms_that_they_lack(tmp_path) -> None:
         "walls": {"top": {"velocity": [1, 0]}},
         "measure": {"lid": {"force_on": "top"}},
     }
-    with pytest.raises(CaseError, match=r"scene.terms.turn: has no share in the forces on walls"):
+    with pytest.raises(CaseError, match=r"scene.terms.turn: would be missing in the forces"):
         study(tmp_path, rom=fast, terms={"turn": TURN}, **keys)
     tank = {"box": {}, "fluid": {"level": 0.5}, "slip": "free"}
     with pytest.raises(CaseError, match=r"scene.terms: is not for reduced models of a free surf"):

@@ -1,4 +1,4 @@
-"""A flow whose keys may be functions of Python."""
+"""A flow whose keys may be Python functions."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from sphrom.signals import guarded
 from sphrom.sph.terms import Term
 
 VECTORS = ("body_force", "velocity")
-"""Keys with as many components as the box, which one function may give."""
+"""Keys of vectors, all components of which a single function may return."""
 
 
 class Flow(dict[str, Any]):
-    """The scene of a case, with functions of Python in place of expressions.
+    """The scene of a case, with Python functions in place of expressions.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Flow(dict[str, Any]):
         super().__init__({"kind": "custom", **scene, "functions": functions})
 
     def _plain(self, value: Any, path: tuple[str, ...]) -> Any:
-        """Return a value with functions replaced by texts, and by their digests."""
+        """Return a value in which calls by name replace functions, and digests replace terms."""
         if isinstance(value, Mapping):
             return {name: self._plain(one, (*path, str(name))) for name, one in value.items()}
         if isinstance(value, tuple | list):

@@ -31,7 +31,7 @@ Runs = Callable[[Sequence[Mapping[str, float]]], Iterator[ModelRun]]
 
 @dataclass(frozen=True)
 class Output:
-    """A number of a run: a value or a statistic of a history, or a figure of an oscillation."""
+    """A number of a run: a value or a statistic of a history, or a property of an oscillation."""
 
     measure: str
     """The measurement, or its estimated error if it begins with ERROR."""
@@ -43,11 +43,11 @@ class Output:
 
     @property
     def is_statistic(self) -> bool:
-        """Whether it follows from all times that count, not from a single one."""
+        """Whether it is a statistic over times since `from_time`, not a value at one time."""
         return self.ending not in ("", "last")
 
     def counted(self, case: Case, time: Array) -> Mask:
-        """Return whether times (n_snapshots,) [s] count."""
+        """Return a mask of the times (n_snapshots,) [s] from which the output is computed."""
         return case.plan.counted(self.measure.removeprefix(ERROR), time)
 
     def of(self, case: Case, time: Array, measured: Measured, instant: float | None) -> float:
@@ -120,7 +120,8 @@ class Function:
                 words = nearest(name, [*case.scene.columns, *case.plan.oscillations])
                 endings = ", ".join(f"_{ending}" for ending in STATISTICS)
                 raise CaseError(
-                    f"{quoted(name)}: is no output; {words}; the endings of histories are {endings}"
+                    f"{quoted(name)}: is not an output; {words}; the endings of histories "
+                    f"are {endings}"
                 )
         self._outputs = [known[name] for name in outputs]
         self.units = tuple(output.units for output in self._outputs)
@@ -128,7 +129,7 @@ class Function:
         time = np.linspace(steps.start_time, steps.end_time, steps.n_snapshots)
         for name, output in zip(outputs, self._outputs, strict=True):
             if output.is_statistic and not output.counted(case, time).any():
-                raise CaseError(f"{quoted(name)}: no time of the runs counts for it")
+                raise CaseError(f"{quoted(name)}: its from_time is after all times of the runs")
         self._instant = instant
         if instant is not None and not steps.start_time <= instant <= steps.end_time:
             span = f"{steps.start_time:g} to {steps.end_time:g} s"
@@ -217,7 +218,7 @@ class Function:
         return np.stack(columns, axis=1)
 
     def _differences(self, row: Array) -> Array:
-        """Return the same by runs at slightly different values, within the trained ranges."""
+        """Return the derivatives by runs at slightly different values in the trained ranges."""
         columns = []
         for k, (low, high) in enumerate(self.bounds):
             ends = np.tile(row, (2, 1))

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from sphrom.fit.forward_model import TrainingDifferences
 
 LEAST_STEP = 1e-3
-"""Least length of the steps of sensitivities, over the automatic one."""
+"""Smallest time step for sensitivities, relative to the automatic one."""
 
 
 class Model:
@@ -185,13 +185,13 @@ class Model:
         return self._labels.runs(self._runs(at), [p.as_dict() for p in at], self.name)
 
     def _runs(self, points: Sequence[ParameterPoint]) -> Iterator[ModelRun]:
-        """Run the model at many points, and warn of those in doubt."""
+        """Run the model at many points, and warn of doubtful runs."""
         doubts = []
         for run in self._fast.runs(points):
             doubts += [f"{run.point.label}: {text}" for text in run.unlike_training[:1]]
             yield run
         if doubts:
-            self._warn(f"{len(doubts)} of {len(points)} runs are in doubt, such as {doubts[0]}")
+            self._warn(f"{len(doubts)} of {len(points)} runs are doubtful, such as {doubts[0]}")
 
     @guarded(solves=False)
     @checked
@@ -213,7 +213,7 @@ class Model:
         self._require(Ability.RUNS_ALONE, "function")
         for kind, names in (("inputs", inputs), ("outputs", outputs)):
             if not names or len({*names}) < len(names):
-                raise CaseError(f"{kind}: needs at least one name, none twice")
+                raise CaseError(f"{kind}: needs at least one name, and each only once")
         self._require_names(inputs)
         ranges = {name: self.ranges[name] for name in inputs}
         return Function(

@@ -96,7 +96,7 @@ class Labels:
     def _notes(
         self, name: str, quantity: str, values: Array, regimes: Sequence[str | None]
     ) -> dict[str, Any]:
-        """Return attributes: the first time that counts [s], and why an oscillation is NaN."""
+        """Return attributes: `from_time` [s], and the reason why an oscillation is NaN."""
         plan = self.case.plan
         missing = dict[str, None]()
         if quantity not in MEASURABLE:  # one value per run
@@ -252,7 +252,7 @@ class Result:
     @property
     @guarded()
     def means(self) -> xarray.Dataset:
-        """The means over time of `measures`, each from its attribute `from_time` [s] on.
+        """The means of `measures` over the times from each one's attribute `from_time` [s] on.
 
         They are NaN if the run ends before.
         """

@@ -199,7 +199,9 @@ def load(path: str | os.PathLike[str]) -> Model:
         elif kind == "sphrom/surface-model":
             stored = read_record(artifact, TrainedSurfaceModel)
         else:
-            raise ArtifactError(f"{path} is a {kind}, no model; `{made_by}` writes model-NAME.h5")
+            raise ArtifactError(
+                f"{path} is a {kind}, not a model; `{made_by}` writes model-NAME.h5"
+            )
     for history in stored.histories.values():
         remember(**vars(history))
     try:

@@ -28,7 +28,7 @@ CASE = "case"
 DIGEST = "sha256"
 """The attribute with the digest of a dataset's values."""
 MOST_NESTED = 32
-"""Most groups within each other: the time to follow a path grows with its length."""
+"""Largest depth of nested groups: the time to follow a path grows with its length."""
 LOCKINGS = (None, False, True)
 """Ways to lock a file. HDF5 refuses any other than the one with which this process has the file
 open, so the default comes first. An artifact never changes, so it can be read without a lock."""

@@ -87,7 +87,7 @@ class Origin:
     lineage: Mapping[str, Identity] = dataclasses.field(default_factory=dict)
     """The artifacts that it is made from, by role."""
     n_dim: int = 2
-    """The number of dimensions of the case, which units follow from."""
+    """The number of dimensions of the case, from which units follow."""
 
 
 def content_digest(

@@ -1,4 +1,4 @@
-"""Checks of a scene of kind custom. Some yield a key of the scene and its problem."""
+"""Checks of a scene of kind custom. Generators yield a key of the scene and its problem."""
 
 from __future__ import annotations
 
@@ -32,21 +32,22 @@ if TYPE_CHECKING:
 Found = Iterator[tuple[str, str]]
 
 FASTEST = 0.45
-"""Largest speed over that of sound; the density then changes by 10 %, which ends a run."""
+"""Largest speed relative to that of sound; the density then changes by 10 %, which ends a run."""
 LARGEST_CHANGE = 0.1
 """Largest relative change of the density, which ends a run."""
 THROUGH_WALL = 0.07
-"""Largest initial speed through a wall over that of sound. Sound that a flat wall reflects changes
-the density by this share, and more in corners; at 0.08 a box of 20 x 20 particles is unstable."""
+"""Largest initial speed through a wall relative to that of sound. Sound that a flat wall reflects
+changes the density by this share, and more in corners; at 0.08 a box of 20 x 20 particles is
+unstable."""
 MISSED = 0.7
 """Share of a field that particles miss, from which it changes within a spacing. It is 0.4 for waves
 of four spacings, 0.75 for waves of two, and 0.5 for a band of two with its edges at particles."""
 ALONG = 0.02
-"""Largest normal speed of a wall over its speed; it is not zero because circles are polygons."""
+"""Tolerated normal speed of a wall over its speed; it is not zero because circles are polygons."""
 OTHER_UNIT = 100.0
 """Ratio of the widths of a solid and the box, or its inverse, that suggests another unit."""
 MOST_AREAS = 4
-"""Most areas that a warning about separate parts of the fluid lists."""
+"""Largest number of areas in a warning about separate parts of the fluid."""
 
 
 def check_walls(driving: Driving) -> None:
@@ -64,7 +65,7 @@ def check_walls(driving: Driving) -> None:
         if across[worst] > ALONG * float(np.max(np.hypot.reduce(velocity.T))):
             raise ValueError(
                 f"walls.{name}: its velocity at {place_text(place[worst])} m has a normal "
-                f"component of {across[worst]:.3g} m/s; walls may only move along themselves"
+                f"component of {across[worst]:.3g} m/s; walls may only move in their own direction"
             )
 
 
@@ -103,7 +104,7 @@ def parameter_problems(scene: CustomScene, names: Collection[str]) -> Found:
     varied = [name for name in names if name in scene.constants]
     slowed = driving.expression("resistance", scene.resistance, *scene.axes)
     for name in (name for name in varied if slowed.degree_in([name]) > 0.0):
-        yield name, "resistance depends on it, which no parameter changes"
+        yield name, "resistance depends on it, but parameters can't change resistance"
     for key, timed in driving.timed():
         for name in varied:
             if any(time.degree_in([name]) > 0.0 for _, time in timed.read()):
@@ -180,8 +181,8 @@ def _problems_at(driving: Driving, final_time: float, fluid: Fluid) -> Found:
     if speed > THROUGH_WALL * sound_speed:
         yield (
             "initial",
-            f"goes through the wall {wall} with {speed:.3g} m/s, which makes a shock of "
-            "sound; start at rest, or with a velocity along the walls, or lower "
+            f"goes through the wall {wall} with {speed:.3g} m/s, which causes a strong sound "
+            "wave; start at rest, or with a velocity along the walls, or lower "
             "fluid.mach_number",
         )
 

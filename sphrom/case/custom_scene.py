@@ -53,11 +53,11 @@ from sphrom.sph.space_box import SpaceBox
 from sphrom.sph.terms import Term
 
 MOST_PLACES = 200_000
-"""Most places of particles at which expressions are checked, too."""
+"""Largest number of particles at whose places expressions are also checked."""
 MOST_SETTINGS = 64
-"""Most values of the parameters, evenly chosen, at which slow checks are made."""
+"""Largest number of parameter points, evenly chosen, at which slow checks are made."""
 MOST_KNOWN = 4000
-"""Most values of the parameters with a cached driving."""
+"""Largest number of parameter points with a cached driving."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +89,14 @@ class CustomScene(SceneSection):
     solids: dict[SafeName, Shape] = key({}, "solids in the box, by name")
     walls: dict[SafeName, MovingWallSection] = key(
         {},
-        "moving walls: sides of the box (left, right, bottom, top, and in space back, front) and "
+        "moving walls: sides of the box (left, right, bottom, top; in three dimensions also "
+        "back, front) and "
         "solids, by name",
     )
     constants: dict[SafeName, Coordinate] = key({}, "constants for expressions, by name")
     histories: dict[SafeName, Histories] = key(
-        {}, "functions of time, by name; for one named sway, expressions in t may contain sway(t)"
+        {},
+        "functions of time, by name; expressions in t may contain sway(t) if one has the name sway",
     )
     functions: dict[SafeName, Digest] = key(
         {}, "digests of functions that expressions may call, which only sphrom.Flow gives"
@@ -193,7 +195,7 @@ class CustomScene(SceneSection):
 
     @cached_property
     def domain(self) -> Domain:
-        """The box less its solids."""
+        """The box without its solids."""
         lower = self.box.lower
         upper = self.box.upper
         if len(lower) != len(upper):

@@ -36,7 +36,7 @@ Value = Coordinate | Annotated[str, Field(max_length=1000)]
 Rate = Duration | Annotated[str, Field(max_length=1000)]
 """A non-negative number, or an expression."""
 NO_FLOW = 1e-6
-"""Least mean speed of an inflow along the axis, over the largest speed."""
+"""Least mean speed of an inflow along the axis, relative to the largest speed."""
 
 
 def _without_tables(value: Any) -> Any:

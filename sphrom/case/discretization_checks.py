@@ -29,7 +29,7 @@ MOST_REFINED = 4
 COARSEST = 8
 """The lowest resolution."""
 MOST_POINTS, MOST_COUNTED = 2e10, 2e7
-"""Most points of a lattice over the box, and over one whose particles are counted one by one."""
+"""Largest number of lattice points in a box, and in one whose particles are counted one by one."""
 
 
 def check_size(case: Case) -> Found:
@@ -60,7 +60,7 @@ def check_geometry(case: Case) -> Found:
     wanted = length / section.resolution
     fits = domain.narrowest_gap > 0.0 and domain.fits_lattice(wanted)
     if domain.narrowest_gap <= 0.0:
-        yield "scene", "its lengths differ so much that the smallest one is lost in rounding"
+        yield "scene", "its lengths differ so much that the shortest is lost to rounding"
     elif not fits:
         reason = f"a spacing of {wanted:g} m doesn't divide all lengths of the scene to 0.5 %"
         nearest_one = nearest_fitting_resolution(case) or "none that is near"
@@ -135,7 +135,7 @@ def narrow_place(domain: Domain, width: float) -> str | None:
     if not shapely.length(line) < width:
         return None
     x, y = shapely.get_coordinates(line).mean(axis=0)
-    remedy = "let them overlap, join them to one solid by `union`"
+    remedy = "let them overlap, join them into one solid by `union`"
     if other in lines:
         remedy = f"let {name} dip into the wall"
     between = f"at ({x:.4g}, {y:.4g}) m, between {name} and {other}"

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from sphrom.case.custom_scene import CustomScene
 
 N_INSTANTS, N_CHECKED = 50, 4097
-"""Times of a run at which a head is computed, which is slow, and those for amplitudes."""
+"""Numbers of times of a run at which a head is computed, which is slow, and an amplitude."""
 N_PLACES = 16
-"""Places at which oscillations of a force are looked for."""
+"""Number of places at which a force is searched for oscillations."""
 MOST_TIMES = 4096
-"""Most times with a cached amplitude."""
+"""Largest number of times with a cached amplitude."""
 BODY_FORCE, INFLOW = "body_force", "inflow"
 """The names of their factors as parameters."""
 KEYS = {BODY_FORCE: "body_force", INFLOW: "inflow.velocity"}
@@ -46,7 +46,7 @@ class Drive:
     """Its key in the scene."""
     fields: list[Expression]
     amplitudes: dict[str, Expression]
-    """One, or none if all values are zero."""
+    """The only amplitude, or none if all values are zero."""
 
     def __call__(self, position: Array) -> Array:
         """Return the field (n_dim, n_positions) at positions (n_dim, n_positions) [m]."""
@@ -110,7 +110,7 @@ class Driving:
 
     @cached_property
     def start(self) -> dict[str, Expression]:
-        """The expressions of u, v, in space w, and p."""
+        """The expressions of u, v, w (in three dimensions) and p."""
         names = (*("u", "v", "w")[: len(self.scene.axes)], "p")
         values = {name: getattr(self.scene.initial, name) for name in names}
         axes = self.scene.axes

@@ -38,7 +38,7 @@ def function_of(sha256: str) -> Callable[..., Any]:
     """Return a function by its digest. Raises ValueError if this process does not have it."""
     if sha256 not in _FUNCTIONS:
         raise ValueError(
-            "is a function of Python that this process does not have; commands and other "
+            "is a Python function that this process does not have; commands and other "
             "processes can't use this case: make its sphrom.Flow in Python, and run it there"
         )
     return _FUNCTIONS[sha256]

@@ -20,17 +20,18 @@ from sphrom.sph.fluid import ROUNDING
 from sphrom.sph.walls.kinds import KINDS
 
 SNAPSHOTS_PER_MODE = 2
-"""Least number of snapshots per mode without a warning."""
+"""Smallest number of snapshots per mode without a warning."""
 SNAPSHOTS_PER_PERIOD = 4
 """Least number of snapshots in a period of the driving without a warning."""
 ROWS_PER_PERIOD = 4
 """Rows of a measured history in its shortest period, below which this period is noise."""
 THICKENED = 4
-"""Spacings across a porous body that is thin enough to be one, and resolved."""
+"""Width in spacings that is recommended for a thin porous body, so that it is resolved."""
 MOST_MISSED = 0.02
-"""Largest difference of the areas of particles and their shape without a warning, over the area."""
+"""Largest difference of the areas of particles and their shape without a warning, relative to the
+area."""
 LEAST_STRIP = 20.0
-"""Least width of a strip, over the spacing; its rate then falls within two spacings."""
+"""Least width of a strip, relative to the spacing; its rate then falls within two spacings."""
 
 NARROW, USUAL, WIDE = 1.8, 2.5, 0.13
 """h/dx below which fluid with a free surface is noisy, above which a kernel is wider than the usual
@@ -79,21 +80,24 @@ def _of_discretization(case: Case) -> Iterator[str]:
     length = min(scene.length_scale, *scene.domain.lengths)
     if scene.has_surface and ratio < NARROW:
         yield (
-            f"{key}: at h = {ratio:g} dx particles below a free surface are noisy; velocities of a "
-            "tank were off by 79 % at 1.2, 22 % at 1.5 and 4 % at 2 and 2.5; use 2.5"
+            f"{key}: at h = {ratio:g} dx particles below a free surface are noisy; "
+            "velocities of a tank had errors of 79 % at 1.2, 22 % at 1.5 and 4 % at 2 and "
+            "2.5; use 2.5"
         )
     if ratio > USUAL and (width := plan.smoothing_length / length) > WIDE:
         resolution = math.ceil(case.discretization.resolution * width / WIDE)
         yield (
-            f"{key}: h is {width:.2g} of the flow's length, too wide for its pressure, which was "
-            f"off by 43 to 52 % at 0.15 and by 84 % at 0.2; use {USUAL:g} or less, or "
+            f"{key}: h is {width:.2g} of the flow's length, too wide for an accurate "
+            f"pressure: its error was 43 to 52 % at 0.15 and 84 % at 0.2; use {USUAL:g} or "
+            "less, or "
             f"discretization.resolution: {resolution}"
         )
     kind = case.discretization.walls.kind
     if scene.free_slip and KINDS[kind].drives_slip:
         yield (
-            f"discretization.walls.kind: with slip: free, {kind} leaves flow along a wall out of "
-            "continuity but not its pressure, so fluid gains energy: water at rest began to move "
+            f"discretization.walls.kind: with slip: free, {kind} leaves the flow along a "
+            "wall out of the continuity equation but keeps its pressure, so the fluid gains "
+            "energy: water at rest began to move "
             "within ten periods; use adjoint"
         )
 
@@ -115,8 +119,8 @@ def _of_fields(case: Case) -> Iterator[str]:
     spacing = case.plan.particle_spacing
     for key in case.plan.scene.unresolved(spacing):
         yield (
-            f"scene.{key}: changes within a particle spacing of {spacing:.3g} m, so particles miss "
-            "its peaks or take waves for longer ones; make it smoother, or raise "
+            f"scene.{key}: changes within a particle spacing of {spacing:.3g} m, so "
+            "particles miss its peaks or show its waves as longer ones; make it smoother, or raise "
             "discretization.resolution"
         )
 

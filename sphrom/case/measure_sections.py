@@ -35,14 +35,15 @@ if TYPE_CHECKING:
     from sphrom.case.models import Case
 
 WITHIN_WALL = 0.1
-"""Tolerated depth of a place in a solid, over the particle spacing, as circles are polygons."""
+"""Tolerated depth of a place in a solid, relative to the particle spacing, as circles are
+polygons."""
 PER_SPACING = 4
 """Places to check along a segment, per particle spacing."""
 MOST_LOOKED_AT = 100_000
 
 
 class MeasureSection(Section):
-    """One measurement: what it measures, and the times that count."""
+    """One measurement: its quantity, and the time from which statistics are computed."""
 
     folder: ClassVar[str] = "measure"
     """The group of its datasets in artifacts, and the beginning of its figures' names."""
@@ -62,7 +63,7 @@ class MeasureSection(Section):
         """Return why a case can't have the measurement, or None."""
 
     def time_problem(self, case: Case) -> str | None:
-        """Return why the time from which it counts is impossible, or None."""
+        """Return why its `from_time` is impossible, or None."""
         end = case.time.final_time
         if self.since is None or self.since < end:
             return None
@@ -74,8 +75,9 @@ class RecordedMeasure(MeasureSection):
 
     from_time: Duration | None = key(
         None,
-        "time from which means, errors and other statistics count; null means after the ramp of an "
-        "inflow or after a driving that grows from zero to a constant value, otherwise the start",
+        "time from which means, errors and other statistics are computed; null means the end "
+        "of the ramp of an inflow or of a driving that grows from zero to a constant value, "
+        "otherwise the start",
         unit="s",
     )
 
@@ -110,7 +112,7 @@ class ForceMeasure(RecordedMeasure):
         "three dimensions the force alone",
     )
     coefficient: CoefficientSection | None = key(
-        None, "scales of the force's coefficient, which is then measured beside the force"
+        None, "scales of the force's coefficient, which is then measured too"
     )
 
     @property
@@ -215,7 +217,7 @@ class IntegralMeasure(FieldsMeasure):
     quantities: ClassVar[tuple[str, ...]] = ("velocity_integral", "pressure_integral")
 
     integral: SegmentSection = key(
-        ..., "segment: the integrals of velocity and pressure along it, over its length"
+        ..., "segment: the line integrals of velocity and pressure along it"
     )
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
@@ -344,7 +346,9 @@ class FrequencySection(Section):
 
     of: SafeName = key(..., "oscillating history, named as in tables of a sweep: `lift_force_y`")
     from_time: Duration | None = key(
-        None, "time from which the history counts; null means that of its measurement", unit="s"
+        None,
+        "time from which the history is used; null means the from_time of its measurement",
+        unit="s",
     )
 
 

@@ -133,12 +133,12 @@ def check_fixed_points(case: Case) -> Found:
             remedy = "leave force_on out, or set rom: []"
             yield (
                 f"scene.terms.{label}",
-                f"has no share in the forces on walls of {reason}; {remedy}",
+                f"would be missing in the forces on walls of {reason}; {remedy}",
             )
     amplitudes = case.scene.amplitudes
     if name is not None and len(set(amplitudes.values())) > 1:
         found = " and ".join(f"{text} of {key}" for key, text in amplitudes.items())
-        reason = f"must all have one amplitude in time, like forces, for models such as {name}"
+        reason = f"must all have the same amplitude in time, like forces, for models such as {name}"
         yield "scene.walls", f"{reason}; got {found}; set rom: [] for full runs alone"
 
 
@@ -195,7 +195,7 @@ def _start_problem(case: Case, point: ParameterPoint) -> str | None:
 
 
 def check_training_runs(case: Case) -> Found:
-    """Refuse models that training runs can't teach anything."""
+    """Refuse models whose training runs contain no motion to learn from."""
     plan = case.plan
     # A box of fluid that nothing describes yet is a template.
     is_template = case.scene == type(case.scene).model_validate({"kind": case.scene.kind})

@@ -195,8 +195,8 @@ class ParticleModelSection(ProjectedModelSection):
     evaluation: Literal["particles"] = key("particles", _EVALUATION)
     advection: Literal["consistent", "paper"] = key(
         "consistent",
-        "advection of modes, for evaluation: particles: consistent, also by shifting, or as in "
-        "Eq. 3.5-3.6",
+        "advection of modes, for evaluation: particles: consistent (with the shifting "
+        "velocity too), or as in Eq. 3.5-3.6",
     )
 
 
@@ -211,13 +211,13 @@ class PointModelSection(ProjectedModelSection):
         AUTO,
         "whether to add to its rates a constant and a linear part that are fitted to the training "
         "runs, for projection: galerkin and evaluation: operators; auto does so if training runs "
-        "have three or more snapshots. cycle fits them to periodic training runs, so that the "
-        "model settles on a cycle with their interpolated amplitude and frequency",
+        "have three or more snapshots. cycle fits them to periodic training runs, so that "
+        "the model settles on a cycle whose amplitude and frequency are interpolated between them",
     )
     corrected: Flag | Literal["auto"] = key(
         AUTO,
-        "whether to add to its coordinates the interpolated errors of the model at its training "
-        "runs, as far as they predict the errors of held-out training runs, for evaluation: "
+        "whether to correct its coordinates by its errors at training runs, interpolated and "
+        "weighted by how well they predict the errors of held-out training runs, for evaluation: "
         "operators; auto does so if its basis has two or more training runs",
     )
     integrated_modes: Annotated[Whole, Field(ge=1, le=10_000)] | Literal["auto"] = key(

@@ -38,7 +38,7 @@ from sphrom.case.study_sections import FitSection, SweepSection, TradeSection, T
 from sphrom.case.yaml_reader import dump_yaml
 
 MOST_MODELS = 100
-"""Most reduced models of one case; `trade` may add others."""
+"""Largest number of reduced models of one case; `trade` may add others."""
 
 
 class Case(Section):

@@ -22,11 +22,11 @@ from sphrom.metrics.grids import midpoints
 from sphrom.reduction.stream_functions import StreamSpace
 
 MOST_COLUMNS, ROWS_OF_FLUID, LEAST_CELL = 16, 9, 2
-"""Of a tank's splines: cells along it, along the depth, and the least size over the spacing."""
+"""Splines of a tank: cells along it and along the depth, and smallest cell in spacings."""
 COLUMNS_A_CELL = 4
-"""Columns where the surface is looked for, in each cell of the splines."""
+"""Number of columns in each cell of the splines in which the surface is searched."""
 HIGHEST_CREST = 1.6
-"""The height of the splines' box over the depth."""
+"""The height of the splines' box relative to the depth."""
 MOST_TRIED = 12
 """The largest number of modes that `n_modes: auto` tries where the fluid has a free surface."""
 MODES_WITHOUT_ROM = 10

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from sphrom.case.scene_section import SceneSection
 
 N_LINES = 201
-"""Lines tried where a solid covers the usual one."""
+"""Number of lines to try if a solid covers the usual one."""
 N_INSTANTS, N_PLACES = 50, 50
-"""Times of a run, and places along each axis, at which the driving of the fluid is looked at."""
+"""Number of times of a run, and of places along each axis, at which the driving is sampled."""
 SURFACE_CHANGE = 0.01
 """Largest relative change of the density by the fluid's weight, if there is a free surface."""
 DENSITY_CHANGE = 0.03
@@ -38,9 +38,9 @@ DENSITY_CHANGE = 0.03
 CORNER_PRESSURE = 2.5
 """Largest pressure over mu U / r, at a distance r from where walls slide apart (Taylor 1962)."""
 BEYOND = 1e-6
-"""Distance beyond walls at which their velocity is evaluated, over the spacing."""
+"""Distance beyond walls at which their velocity is evaluated, relative to the spacing."""
 MLS_SMOOTHING_LENGTH_RATIO = 2.0
-"""Smoothing length of moving least squares over the spacing; they need no wider support."""
+"""Smoothing length of moving least squares relative to the spacing; they need no wider support."""
 
 
 class FlowsPlan(PointsPlan):
@@ -186,7 +186,8 @@ class FlowsPlan(PointsPlan):
 
     @property
     def with_weight(self) -> bool:
-        """Whether pressures have a hydrostatic part, which is no flow, and places may fall dry."""
+        """Whether pressures have a hydrostatic part, which is not flow, and places may become
+        dry."""
         return self._scene.has_surface
 
     def weight_at(self, point: ParameterPoint, position: Array) -> Array | None:

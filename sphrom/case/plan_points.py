@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from sphrom.case.models import Case
 
 STEP = 1e-5
-"""Step of differences by a parameter, over its size."""
+"""Step of differences by a parameter, relative to its size."""
 NEAR_ZERO = 0.01
-"""Values below this share of the largest trained one don't tell the size of a parameter."""
+"""Values below this share of the largest trained one are ignored in the size of a parameter."""
 
 
 class PointsPlan:

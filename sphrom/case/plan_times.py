@@ -1,4 +1,4 @@
-"""The plan of a case, third part: time steps, their limits, and the times that count."""
+"""The plan of a case, third part: time steps, their limits, and the times used for statistics."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from sphrom.sph.polygons import jutting_corners
 from sphrom.sph.time_loop import TimeSteps
 
 STEPS_PER_PERIOD = 20
-"""Fewest steps in a period of the driving; fewer take an oscillation for a slower one."""
+"""Smallest number of steps in a period of the driving; with fewer it would look slower."""
 N_DRIVING = 1000
 """Number of times of a run at which the driving is sampled."""
 MAX_STEPS = 1e9
-"""Number of steps of one run beyond which a case is taken for a typing error."""
+"""Largest number of steps of one run; more are assumed to be a typing error."""
 WHOLE_STEPS_TOLERANCE = 1e-6
 """Relative tolerance for a duration to be a whole number of steps."""
 LARGEST_DENOMINATOR = 1000
@@ -35,7 +35,7 @@ LARGEST_DENOMINATOR = 1000
 
 
 class TimesPlan(FlowsPlan):
-    """The time steps of one case, and the times from which its measurements count."""
+    """The time steps of one case, and the times from which statistics are computed."""
 
     def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
@@ -139,20 +139,20 @@ class TimesPlan(FlowsPlan):
 
     @cached_property
     def means_from(self) -> dict[str, float]:
-        """The times from which statistics of recorded measurements count [s], by name."""
+        """The times from which statistics of recorded measurements are computed [s], by name."""
         asked = {name: measure.from_time for name, measure in self._scene.recorded.items()}
         return {name: self.settled_from if t is None else t for name, t in asked.items()}
 
     @property
     def times_in_words(self) -> str:
-        """The times from which measurements count, in words; empty if all count from the start."""
+        """The `from_time` of measurements, in words; empty if all of them are the start."""
         late = sorted({t for t in self.means_from.values() if t > 0.0})
         names = {t: ", ".join(n for n, s in self.means_from.items() if s == t) for t in late}
         times = " and ".join(f"from {t:.4g} s on ({names[t]})" for t in late)
         return times and f"means and errors of measurements count {times}"
 
     def counted(self, name: str, time: Array) -> Mask:
-        """Return whether times (n_snapshots,) [s] count for a measurement of a run."""
+        """Return the mask of the times (n_snapshots,) [s] for statistics of a measurement."""
         return since(time, self.means_from.get(name, self.settled_from))
 
     @cached_property

@@ -76,7 +76,7 @@ def nearest_point(point: ParameterPoint, known: Iterable[ParameterPoint]) -> Par
 
 
 def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[str, str]:
-    """Return the trained ranges of those parameters of a point that are outside of them."""
+    """Return the trained ranges of the parameters in which a point is outside."""
     points, ranges = [other.as_dict() for other in trained], {}
     for name, value in point.as_dict().items():
         low = min(p[name] for p in points)
@@ -87,7 +87,7 @@ def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[st
 
 
 MAX_RUNS = 1000
-"""Most full runs of one case, and most points of one reduced model; sweeps allow more."""
+"""Largest numbers of full runs of a case and of points of a reduced model; sweeps allow more."""
 DIGITS = 6
 """Digits of sampled values, which are part of file names."""
 
@@ -139,7 +139,8 @@ class SampleSection(Section):
 
     count: Whole = key(..., "number of points", ge=1, le=100_000)
     method: Literal["sobol", "halton", "latin-hypercube"] = key(
-        "sobol", "sequence of points; a larger count keeps earlier points of sobol and halton"
+        "sobol",
+        "sequence of points; with sobol and halton, a larger count keeps the earlier points",
     )
     seed: Whole = key(0, "seed of the random shift", ge=0, le=2**32 - 1)
 

@@ -222,7 +222,7 @@ class SceneSection(Section):
         return False
 
     def scheduling(self, names: Collection[str]) -> tuple[str, ...]:
-        """Return those of some parameters that change knots of histories and nothing else."""
+        """Return the parameters, among some, that change knots of histories and nothing else."""
         return ()
 
     def reference_profiles(

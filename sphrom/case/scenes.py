@@ -85,8 +85,8 @@ class LidDrivenCavityScene(SceneSection):
     )
     lid_ramp: Duration = key(
         0.0,
-        "time in which the lid reaches its speed: 0 is an impulsive start, as in the paper, which "
-        "also makes sound; 3 length / c0 makes none",
+        "time in which the lid reaches its speed: 0 is an impulsive start, as in the paper, "
+        "which also produces sound; 3 length / c0 produces none",
         unit="s",
     )
     measure: Measures = MEASURE
@@ -202,7 +202,7 @@ class OpenCavityScene(SceneSection):
         return PROBE_SHARE * self._cavity.channel_length
 
     def largest_head(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
-        """Return the head of the force less its mean along the channel [m2/s2]."""
+        """Return the head of the force minus its mean along the channel [m2/s2]."""
         cavity = self._cavity.cavity_length
         length = self._cavity.channel_length
         return abs(self._force(values).largest) * cavity * (1.0 - cavity / length)

@@ -21,7 +21,7 @@ from sphrom.text import nearest, quoted
 Node = Mapping[str, Any]
 
 MAX_PROBLEMS = 20
-"""Most problems that one message lists."""
+"""Largest number of problems that one message lists."""
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 NAME_WORDS = "a name of at most 64 letters, digits, _ - or . that does not begin with - or ."
 _KIND_OF_SCENE = {"union_tag_not_found": "missing", "union_tag_invalid": "literal_error"}
@@ -140,7 +140,7 @@ def _keys(nodes: Iterable[Node]) -> list[str]:
 
 
 def key_paths(path: Path = (), kind: str = "") -> Iterator[Path]:
-    """Yield the paths of all keys with fixed names below `path`, in lists for entry 0."""
+    """Yield the paths of all keys with fixed names below `path`; a list stands for its entry 0."""
     below = (*path, 0) if is_list(path) else path
     for key in known_keys(below, kind):
         yield (*below, key)

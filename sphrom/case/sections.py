@@ -47,7 +47,7 @@ class PackingSection(Section):
 
     seed: Whole = key(0, "seed of the random start", ge=0, le=2**32 - 1)
     tolerance: Number = key(
-        1e-3, "unevenness of particles at which packing stops", unit="-", ge=1e-12, le=1.0
+        1e-3, "unevenness of the particles at which the packing stops", unit="-", ge=1e-12, le=1.0
     )
 
 
@@ -63,8 +63,8 @@ class ShiftingSection(Section):
     )
     transport: Literal["advective", "paper"] = key(
         "advective",
-        "advection by shifting in Eq. 2.6-2.7: differences to neighbours with a particle's own "
-        "shifting velocity, or the terms as printed",
+        "advection by the shifting velocity in Eq. 2.6-2.7: consistent terms, which vanish "
+        "for uniform fields, or the terms as printed",
     )
 
 
@@ -81,7 +81,8 @@ EARLIER_KEYS: Mapping[str, tuple[str, str]] = {
     "printed": ("paper", "paper"),
     "printed-normal": ("paper", "normal"),
 }
-"""The values of the keys `no_slip` and `continuity` of earlier versions that a kind stands for."""
+"""The values of the earlier keys `no_slip` and `continuity`, by the kind of walls that replaces
+them."""
 
 
 class WallSection(Section):
@@ -130,8 +131,8 @@ class DiscretizationSection(Section):
     )
     acoustic_damping: Number = key(
         1.0,
-        "alpha of the acoustic damper, a bulk viscosity of alpha h c0 (Sun et al. 2023); the paper "
-        "has none, 0",
+        "alpha of the acoustic damper, a bulk viscosity of alpha h c0 (Sun et al. 2023); 0 "
+        "as in the paper switches it off",
         unit="-",
         ge=0.0,
         le=10.0,
@@ -141,12 +142,15 @@ class DiscretizationSection(Section):
     )
     initial_particles: Literal["auto", "packed", "lattice"] = key(
         "auto",
-        "initial positions: packed, or on a lattice, which fits walls along the axes but breaks up "
-        "with noise; auto means lattice in scenes with walls along the axes only, else packed",
+        "initial positions: packed, or on a lattice, which fits walls along the axes but "
+        "adds noise when it breaks up; auto means lattice in scenes whose walls all follow "
+        "the axes, else packed",
     )
     packing: PackingSection = key(PackingSection(), "packing of particles before the run")
     fixed_volume: Flag = key(
-        True, "whether to subtract the mean of continuity, so that the total volume is conserved"
+        True,
+        "whether to subtract the mean of the continuity equation, so that the total volume "
+        "is conserved",
     )
     pair_precision: Literal["float64", "float32"] = key(
         "float64",
@@ -254,13 +258,14 @@ class BasisSection(Section):
     )
     inner_product: Literal["acoustic", "raw"] = key(
         "acoustic",
-        "inner product of states: acoustic energy, in which the reduced model is stable, or the "
-        "dot product of raw values",
+        "inner product of states: acoustic energy, which makes the reduced model stable, or "
+        "the dot product of raw values",
     )
     mean_density: Literal["auto", "in-modes", "separate"] = key(
         "auto",
-        "the spatial mean of the density: part of the modes, or a variable of its own; auto means "
-        "separate with the acoustic product if the volume is fixed or walls enclose the fluid",
+        "the spatial mean of the density: part of the modes, or a variable of its own; auto "
+        "means separate if the product is acoustic and the volume is fixed or walls enclose "
+        "the fluid",
     )
     lagrangian: Flag = key(False, "whether to store also the singular values of unmapped snapshots")
     subsets: dict[SafeName, SubsetSection] = key(
@@ -305,8 +310,9 @@ class CompareSection(Section):
     line_points: Whole = key(101, "number of points on that line", ge=2, le=100_000)
     grid: Whole = key(
         50,
-        "grid points along the longer side of the scene's box, for fields; in three dimensions "
-        "fewer, so that a cube has about as many as a square",
+        "grid points along the longer side of the scene's box, for fields; a "
+        "three-dimensional grid has fewer along each side, so that a cube has about as many "
+        "points in all as a square",
         ge=2,
         le=2_000,
     )
@@ -316,7 +322,7 @@ class CompareSection(Section):
         "whether to draw figures; null draws the four most telling ones, and `sphrom report` the "
         "others",
     )
-    from_time: Duration = key(0.0, "time from which errors count", unit="s")
+    from_time: Duration = key(0.0, "time from which errors are computed", unit="s")
     figures: tuple[FigureSection, ...] = key(
         (), "figures that `sphrom figures` draws, besides those of `sphrom compare`"
     )

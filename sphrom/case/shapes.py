@@ -27,11 +27,11 @@ from sphrom.whole_files import read_whole
 MOST_BYTES = 4 * 1024 * 1024
 """Largest size of an outline's file [bytes]."""
 MOST_CORNERS = 20_000
-"""Most corners of an outline; more are finer than any particles."""
+"""Largest number of corners of an outline; more are finer than any particles."""
 QUADRANT_CORNERS = 64
 """Corners of the polygon that rounds a right angle."""
 MOST_BRACKETS = 8
-"""Most nested brackets of well-known text; several polygons with holes have three."""
+"""Largest number of nested brackets of well-known text; several polygons with holes have three."""
 
 
 class ShapeSection(Section):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Slowing:
-    """The resistance to the fluid of a scene, and the places and bodies that it needs.
+    """The resistance to the fluid of a scene, from its expression, porous bodies and strip.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class Slowing:
 
     @cached_property
     def way(self) -> float:
-        """The least integral of 1/k along lines through the box [1/m], the larger of x and y."""
+        """The least integral of 1/k along lines through the box [1/m]; the larger of x and y."""
         domain = self._scene.domain
         ways = [0.0]
         for axis in range(2) if self._parts else ():

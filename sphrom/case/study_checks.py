@@ -81,7 +81,9 @@ def check_sweep(case: Case) -> Found:
     points = studies.sweep_points(case)
     steps = case.plan.steps
     if case.sweep.sensitivities and (model is None or not model.from_operators):
-        reason = "needs a model with evaluation: operators, whose equations can be differentiated"
+        reason = (
+            "needs a model with evaluation: operators, because its equations can be differentiated"
+        )
         yield "sweep.sensitivities", reason
     yield from check_repeated("sweep", points)
     if model is None and points:

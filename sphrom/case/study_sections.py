@@ -62,10 +62,13 @@ class TradeSection(Section):
     )
     measure: SafeName | None = key(
         None,
-        "a name of scene.measure: the relative L2 error of this force, flow rate, velocity and "
-        "pressure, or frequency and amplitude ranks the models, instead of that of the fields",
+        "a name of scene.measure: its relative L2 error (of a force, a flow rate, velocity "
+        "and pressure, or frequency and amplitude) ranks the models instead of the error of "
+        "the fields",
     )
-    repeats: Whole = key(5, "number of timings of a run; the least time counts", ge=1, le=1000)
+    repeats: Whole = key(
+        5, "number of timings of a run, of which the shortest is used", ge=1, le=1000
+    )
 
 
 LEAST_PERCENT, MOST_PERCENT = 1e-6, 1e3
@@ -86,8 +89,8 @@ class FitSection(Section):
     )
     noise: Annotated[Number, Field(ge=LEAST_PERCENT, le=MOST_PERCENT)] | None = key(
         None,
-        "standard deviation of the noise over the range of each history, if the measurements have "
-        "none",
+        "standard deviation of the noise, as a share of the range of each history, if the "
+        "measurements have none",
         unit="%",
     )
     starts: Whole = key(8, "number of starts of the search, spread over the ranges", ge=1, le=1000)
@@ -119,7 +122,8 @@ class TrainingSection(Section):
     __pydantic_extra__: dict[str, Range] = Field(init=False)
 
     tolerance: Percentage = key(
-        "1%", "allowed error of the model: root mean square of the error over that of the field"
+        "1%",
+        "allowed error of the model: root mean square of the error, relative to that of the field",
     )
     quantity: Literal["auto", "velocity", "pressure", "both", "oscillation"] = key(
         "auto",
@@ -197,7 +201,8 @@ class ErrorFigure(_OfRuns):
 
     kind: Literal["errors"] = key(..., "errors of Eq. 4.1 on the line, over time")
     range: Literal["line", "field"] = key(
-        "line", "range by which errors are divided: on the line, or of the whole field"
+        "line",
+        "range of values by which errors are divided: that on the line, or that of the whole field",
     )
 
 
@@ -226,9 +231,9 @@ FigureSection = Annotated[OfRuns | OfModes, Field(discriminator="kind")]
 
 
 MOST_VALUES = 100_000
-"""Most points of one sweep."""
+"""Largest number of points of one sweep."""
 NEVER = 1e-9
-"""Probability of impossible values that is small enough to ignore."""
+"""Probability of impossible values, below which they are ignored."""
 
 Share = Annotated[Number, Field(ge=1e-4, le=1.0 - 1e-4)]
 
@@ -373,7 +378,10 @@ class SweepSection(Section):
     )
     quantiles: Annotated[
         tuple[Share, ...], Field(min_length=1, max_length=99), AfterValidator(rising)
-    ] = key((0.05, 0.25, 0.5, 0.75, 0.95), "levels of the quantiles of a sample's outputs, rising")
+    ] = key(
+        (0.05, 0.25, 0.5, 0.75, 0.95),
+        "levels of the quantiles of a sample's outputs, in ascending order",
+    )
     sensitivities: Flag = key(
         False,
         "whether to compute derivatives of the final kinetic energy, forces, flow rates and probes "

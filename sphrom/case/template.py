@@ -114,7 +114,7 @@ def _section(values: dict[str, Any], path: Path, indent: str, kind: str) -> Iter
 
 
 def _keys_of(path: Path, kind: str, above: tuple[list[str], ...] = ()) -> Iterator[Path]:
-    """Yield the paths of keys below an empty value, also below names and list entries."""
+    """Yield the paths of keys with empty values, including those below names and list entries."""
     for below in (path, (*path, NAME), (*path, 0)):
         keys = schema.known_keys(below, kind)
         if keys and keys not in above:  # shapes contain shapes without end

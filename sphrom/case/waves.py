@@ -18,7 +18,7 @@ from sphrom.reduction.surface_basis import SLOPE_BEYOND_TRAINING
 from sphrom.text import exact
 
 MOST_POINTS = 100
-"""Of a list, evenly chosen: each takes some milliseconds."""
+"""Largest number of points to check, evenly chosen, because each takes some milliseconds."""
 
 
 def steeper_than_training(
@@ -47,8 +47,8 @@ def steeper_than_training(
         shaken = f"{name}: {exact(float(f'{factor * steepest.factors[name]:.2g}'))}"
     yield (
         f"{key}: at {worst.label} linear theory expects a surface {factor:.2g} times as steep as "
-        f"in any training run (a slope of {slopes[worst]:.2g}), so models extrapolate; train "
-        f"there, or with {shaken} at {steepest.label}"
+        f"in any training run (a slope of {slopes[worst]:.2g}), so models extrapolate; add a "
+        f"training run there, or with {shaken} at {steepest.label}"
     )
 
 

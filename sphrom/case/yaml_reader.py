@@ -18,7 +18,7 @@ from sphrom.text import quoted, shortened
 Path = tuple[str | int, ...]
 """The keys and list indices that lead to a value."""
 MAX_VALUES = 10_000
-"""Most values of one file; values of aliases count at each use."""
+"""Largest number of values of one file; values of aliases count at each use."""
 MAX_DEPTH = 20
 _TAG = "tag:yaml.org,2002:"
 _IMPLICIT = {

@@ -102,7 +102,7 @@ class Options:
         list[str] | None,
         option(
             "NAME=VALUE[,...]",
-            "Only these parameter values; for rom and export also a MODEL. May be repeated.",
+            "Run these parameter values only; for rom and export also a MODEL. May be repeated.",
             autocompletion=complete_values,
         ),
     ] = None
@@ -112,7 +112,7 @@ class Options:
     checkpoint_every: Annotated[
         float,
         option(
-            "SECONDS", "Least time between checkpoints; 0 writes one after every step.", min=0.0
+            "SECONDS", "Shortest time between checkpoints; 0 writes one after every step.", min=0.0
         ),
     ] = 60.0
     workers: Annotated[

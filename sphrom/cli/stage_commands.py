@@ -292,7 +292,8 @@ def import_(
     write_case: Annotated[
         Path | None,
         option(
-            "FILE", "Write a case with the files' times and resolution, and import into that one."
+            "FILE",
+            "Write a case with the files' times and resolution, and import the files for it.",
         ),
     ] = None,
     **fields: Any,
@@ -343,7 +344,8 @@ def export(
         list[str] | None, option("X,Y", "A point [m] for csv; may be repeated.  [default: a line]")
     ] = None,
     columns: Annotated[
-        int | None, option("N", "Columns of the grid of a page's pictures.  [default: by size]")
+        int | None,
+        option("N", "Grid columns of the pictures on a page. [default: by size of the page]"),
     ] = None,
 ) -> None:
     """Export fields, or trained models, to files for other programs.

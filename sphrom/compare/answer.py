@@ -40,7 +40,7 @@ ALIKE = 0.1
 DIGITS = 2
 """Significant digits of the figures in a sentence."""
 LOUD = 0.5
-"""Share of sound in a pressure, over a model's error, from which the answer tells it."""
+"""Share of sound in a pressure, over a model's error, from which the answer mentions it."""
 ROLES = {
     "predicted": "which was not simulated for training",
     "extrapolated": "which was not simulated for training and lies outside of the trained values",
@@ -77,14 +77,14 @@ class Answer:
     loads: tuple[MeasureRow, ...] = ()
     """Measured forces and torques, by component."""
     nearest_loads: tuple[MeasureRow, ...] = ()
-    """The same of the nearest state."""
+    """Measured forces and torques of the nearest state, by component."""
     oscillations: tuple[OscillationRow, ...] = ()
     surface: tuple[float, float | None] | None = None
     """Errors of the free surface's elevation and of the nearest state's [%], if there is one."""
     since: str = ""
-    """A phrase for the time from which errors count, unless it is the first."""
+    """A phrase for the time from which errors are computed, unless it is the first."""
     times: str = ""
-    """The times from which measurements count, in words."""
+    """The `from_time` of measurements, in words."""
     doubts: tuple[str, ...] = ()
     """Sentences with reasons to doubt that imported runs belong to the case."""
     outside: tuple[int, str, Pair] | None = None
@@ -153,7 +153,7 @@ class Answer:
         yield from self._loads()
         for row in self.oscillations:
             if row.remark:
-                yield f"The oscillation ({row.measured}) has no figures: {row.remark}."
+                yield f"The oscillation ({row.measured}) can't be compared: {row.remark}."
                 continue
             errors = row.frequency_error, row.amplitude_error, row.phase_error
             frequency, amplitude, phase = (format_figure(error, DIGITS) for error in errors)
@@ -210,7 +210,7 @@ class Answer:
             return
         takes = f"{takes}, the full run {full} at its largest stable step."
         if timing.speed_up <= 1.0:
-            yield f"{takes} It is not faster; use a model with evaluation: operators."
+            yield f"{takes} The model is not faster; use one with evaluation: operators."
             return
         yield takes
         gains = timing.speed_up, timing.least_speed_up, timing.greatest_speed_up
@@ -307,7 +307,7 @@ def _compared(tables: Tables, model: str) -> list[tuple[Pair, ErrorRow]]:
 
 
 def _judged(compared: Sequence[tuple[Pair, ErrorRow]]) -> list[tuple[Pair, ErrorRow]]:
-    """Return those between the training values; if none are, those outside, else all."""
+    """Return the errors between the training values; without any, those outside, else all."""
     roles = ([pair for pair in compared if pair[1].role == role] for role in ROLES)
     return next(filter(None, roles))
 

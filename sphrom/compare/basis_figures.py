@@ -30,9 +30,10 @@ SPACES = {
 """Spaces of modes, with the groups of their modes and points in the artifact of the bases."""
 COMPONENTS = {"x-velocity": 0, "y-velocity": 1, "z-velocity": 2}
 MOST_MODES, MOST_FLAT = 6, 4
-"""Most pictures of modes in a row, and of flat ones."""
+"""Largest numbers of pictures of modes in a row, and of flat pictures."""
 SMALLEST_RATIO, SMALLEST_SHARE = 1e-12, 1e-10
-"""Singular values over the first, and omitted shares [%], below which they are rounding errors."""
+"""Singular values relative to the first, and omitted shares [%], below which they are rounding
+errors."""
 SPECTRUM = ("singular value, relative to the first [–]", "later singular values, of the sum [%]")
 
 

@@ -1,8 +1,8 @@
 """The figures that `compare` draws for every case, from stored runs and comparisons.
 
 For each parameter point there are fields, lines, errors, reference profiles and measurements, and
-for each basis singular values and modes (`basis_figures.py`). Figures that a case lists share
-`RunFigures`.
+for each basis singular values and modes (`basis_figures.py`). `RunFigures` is also used for the
+figures that a case lists.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ ERRORS = (
 
 
 def remove_figures(workspace: Workspace, kept: Collection[Path] = ()) -> None:
-    """Remove the figures of earlier comparisons of the case, but for some."""
+    """Remove the figures of earlier comparisons of the case, except for some."""
     plan = workspace.case.plan
     for place in (*(point.file_label for point in plan.points), *plan.bases):
         for path in (workspace.out / PLOTS).glob(f"*-{place}.png"):
@@ -106,7 +106,7 @@ def _points(case: Case) -> list[ParameterPoint]:
 
 
 def _figures(stored: StoredComparison, tables: Tables) -> Iterator[tuple[str, Drawn]]:
-    """Yield the names of all figures, the most telling first, with functions that draw them."""
+    """Yield the names of all figures, the most informative first, with functions that draw them."""
     workspace = stored.workspace
     case = workspace.case
     for point in _points(case):

@@ -262,8 +262,8 @@ def _effectivity(quantity: str) -> Callable[[Cells], str]:
 
 RUN: tuple[Column, ...] = (("run", "compared"), ("parameters", "parameters"))
 NORMS: tuple[str, tuple[Column, ...]] = (
-    "errors: relative L2 norm in %, over sampled points and time / at the worst time; pressure "
-    "less its mean",
+    "errors: relative L2 norm in %, over sampled points and time / at the worst time; "
+    "pressure minus its mean",
     (
         ("run", "compared"),
         ("against", "against"),
@@ -278,8 +278,9 @@ NORMS: tuple[str, tuple[Column, ...]] = (
     ),
 )
 ESTIMATES: tuple[str, tuple[Column, ...]] = (
-    "estimated errors: root mean squares over fields and time, in % of the full run; effectivity "
-    "is estimate over error, after the first tenth of the run: mean (least to largest)",
+    "estimated errors: root mean squares over fields and time, in % of the full run; "
+    "effectivity is the ratio of estimate to error, after the first tenth of the run: mean "
+    "(least to largest)",
     (
         *RUN,
         ("", "role"),

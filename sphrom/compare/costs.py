@@ -37,9 +37,9 @@ class RunTiming:
 
     Seconds are processor time on one thread for the steps only, the least of several repeats in
     which all runs take turns. A run of microseconds is repeated without a break, so its data stay
-    in the processor's caches; its steps are chosen before. Only such times are divided. An imported
-    run has at most the time stated at its import, from unknown threads and an unknown machine, and
-    therefore no speed-up.
+    in the processor's caches; its steps are chosen before. Speed-ups are ratios of such times. For
+    an imported run only the time stated at its import is known, if any. Its threads and machine are
+    unknown, so it has no speed-up.
     """
 
     model: str
@@ -250,7 +250,7 @@ def _computing_seconds(artifact: Artifact) -> float:
 
 
 def break_even(once: float | None, full_seconds: float | None, online_seconds: float) -> int | None:
-    """Return the least number of runs from which a model is cheaper that costs `once` [s] to make.
+    """Return the number of runs from which a model that costs `once` [s] to make is cheaper.
 
     Returns None if it never is, or a cost is unknown.
     """

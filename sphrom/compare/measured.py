@@ -68,14 +68,15 @@ class MeasureRow:
     without_sound: float | None = field(metadata={"unit": "%"})
     """The error of averages over a period of the longest sound wave, over the same change."""
     sound: float | None = field(metadata={"unit": "%"})
-    """The part of the full run that these averages remove, over the same change; None if snapshots
-    are too far apart to tell."""
+    """The part of the full run that these averages remove, relative to the same change; None if
+    snapshots are too far apart to tell."""
     estimated: float | None = field(metadata={"unit": "%"})
     """The model's own estimate of `relative_l2`."""
     from_time: float = field(metadata={"unit": "s"})
-    """The time from which the figures count."""
+    """The time from which the errors are computed."""
     vector_relative_l2: float | None = field(metadata={"unit": "%"})
-    """The same error of the whole vector, over the change of the vector; None for scalars."""
+    """The same error of the whole vector, relative to the change of the vector; None for
+    scalars."""
     vector_estimated: float | None = field(metadata={"unit": "%"})
     rms_error: float | None
     """Root mean square error over time and places, in `unit`."""
@@ -175,7 +176,7 @@ class OscillationRow:
     compared: str
     parameters: str
     from_time: float = field(metadata={"unit": "s"})
-    """The time from which the history counts."""
+    """The time from which the history is used."""
     frequency: float | None = field(default=None, metadata={"unit": "Hz"})
     frequency_scatter: float | None = field(default=None, metadata={"unit": "Hz"})
     frequency_error: float | None = field(default=None, metadata={"unit": "%"})

@@ -23,7 +23,7 @@ from sphrom.sph.fluid import ROUNDING
 from sphrom.store.stored_run import ON_WALL, sample_run
 
 SETTLED = 0.01
-"""Largest change of a settled flow, over the reference speed U, or rho U2 for a pressure."""
+"""Largest change of a settled flow, relative to the reference speed U, or rho U2 for a pressure."""
 SETTLING_SHARE = 0.1
 """Last part of a run, in which a steady flow must not change; steady profiles are its means."""
 SCALE = {"unit": "U, or rho U2"}
@@ -51,7 +51,7 @@ class ReferenceRow:
     """Largest standard deviation of snapshots in the window; None for one snapshot."""
     rms_error: float = field(metadata=SCALE)
     rms_scatter: float | None = field(metadata=SCALE)
-    """Root mean square of the standard deviation over the points."""
+    """Root mean square, over the points, of the standard deviation of snapshots in the window."""
     last_change: float | None = field(metadata=SCALE)
     """Largest change of the mean over the last tenth of the run, for a steady profile."""
     settled: bool

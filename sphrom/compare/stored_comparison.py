@@ -40,7 +40,7 @@ class ComparisonWriter:
         self._samples(FULL, samples)
 
     def run(self, row: ErrorRow, history: History, samples: Samples) -> None:
-        """Write the errors over time and the samples of a run, unless it has no errors."""
+        """Write the errors over time and the samples of a run, if it has errors."""
         if not len(history.time):
             return
         group = group_of(row.compared, row.against)

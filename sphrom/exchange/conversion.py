@@ -29,20 +29,20 @@ from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 VELOCITIES = (("u", "v", "w"), ("velocity.x", "velocity.y", "velocity.z"))
 """Default names of the components of velocity."""
 FLUCTUATION = "density_fluctuation"
-"""Name of the density less its reference value in files that this program exported."""
+"""Name of the density minus its reference value in files that this program exported."""
 ROUNDING = 1e-6
 """Share of the largest speed up to which a third component of velocity counts as zero."""
 MOST_SPEED = 5.0
-"""Speed over that of the scene, above which the unit is probably wrong."""
+"""Speed relative to that of the scene, above which the unit is probably wrong."""
 MOST_EMPTY, EMPTY = 0.01, 2.0
-"""Largest share of a box in space that is empty, and distance of its places from the nearest
-particle, over the spacing."""
+"""Largest empty share of a three-dimensional box, and the distance from the nearest particle, in
+spacings, at which a place counts as empty."""
 COUNT_TOLERANCE = 0.05
 """Relative tolerance of the number of particles: programs fill edges differently."""
 
 
 class Converter:
-    """Reads snapshots, checks them, converts them to the case's units and frame, keeps extremes."""
+    """Reads and checks snapshots, converts them to the case's units and frame, keeps extremes."""
 
     def __init__(self, case: Case, options: ImportOptions, source: Source) -> None:
         self.options = options
@@ -129,8 +129,9 @@ class Converter:
             ends = zip(low.tolist(), high.tolist(), strict=True)
             spans = " and ".join(f"{start:.6g} to {end:.6g} m" for start, end in ends)
             raise CaseError(
-                f"{foreign.path}: {outside} of the particles are outside the scene; all span "
-                f"{spans}, with a spacing of {distance:.3g} m, and {spacing:.3g} m in the "
+                f"{foreign.path}: {outside} of the particles are outside the scene; all of "
+                f"them span {spans}, with a spacing of {distance:.3g} m, and {spacing:.3g} m "
+                "in the "
                 f"case; check --units, --origin, --array and the size of the scene{fitting}"
             )
         if domain.n_dim == 3:
@@ -144,7 +145,7 @@ class Converter:
         empty = float(np.mean(KDTree(position).query(places)[0] > EMPTY * spacing))
         if empty > MOST_EMPTY:
             raise CaseError(
-                f"{foreign.path}: {100.0 * empty:.2g} % of the box have no particles. In three "
+                f"{foreign.path}: {100.0 * empty:.2g} % of the box has no particles. In three "
                 "dimensions fluid fills a box without solids; free surfaces, solids and bodies are "
                 "not modelled. Name the particles of the fluid with --array, or choose scene.box "
                 "so that they fill it"
@@ -166,7 +167,7 @@ class Converter:
             )
 
     def _fluctuation(self, foreign: ForeignSnapshot) -> Array:
-        """Return the density less its reference value (n_particles,) [kg/m3], checked."""
+        """Return the density minus its reference value (n_particles,) [kg/m3], checked."""
         reference = self._case.fluid.reference_density
         if self.options.pressure is None:
             usual = FLUCTUATION if FLUCTUATION in foreign.fields else "rho"

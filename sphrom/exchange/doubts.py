@@ -25,14 +25,15 @@ from sphrom.sph.functional import Functional
 from sphrom.sph.time_loop import Clock, Snapshot, TimeSteps, march
 
 FOLLOWED = 0.5
-"""Time for which the case's own model follows an imported run, over that of crossing the scene."""
+"""Time for which the case's own model follows an imported run, relative to that of crossing the
+scene."""
 MODEL_OFF, PER_SPACING, START_OFF = 3.0, 240.0, 20.0
 """Limits of differences in velocity [%]: the least limit of an imported run, the limit over spacing
 per length, and that of its start. A finite-volume solution of the cavity departs by 4.2 and 8.2 %
 (50 and 25 spacings) and is slowed by 4.6 and 8.9 %, with a wrong lid by 28 and 23 %. At 20 spacings
 it is slowed by 16 %, more than the limit of 12 %."""
 LEAST_SPEED = 0.05
-"""Speed over that of the scene; errors of slower flows are relative to it."""
+"""Speed relative to that of the scene; errors of slower flows are relative to it."""
 MODEL = "the case's own full model"
 
 
@@ -46,7 +47,7 @@ class Followed:
     """Where the change at first is compared."""
     last: int
     kept: dict[int, tuple[float, Snapshot]] = field(default_factory=dict)
-    """The snapshots with their times [s], and the first one of the run."""
+    """The snapshots with their times [s], including the first one of the run."""
 
     @classmethod
     def of(cls, case: Case, interpolated: Sequence[bool]) -> Followed:
@@ -132,7 +133,7 @@ def _departures(
 
 
 def _described(case: Case, run: Followed, departed: float, slowed: float, most: float) -> str:
-    """Return the doubt about a run that the case's own model leaves."""
+    """Return the doubt about a run from which the case's own model departs."""
     walls = "scene.lid, " * hasattr(case.scene, "lid") or "walls, " * case.scene.domain.has_walls
     return (
         f"from t = {run.kept[run.begin][0]:.4g} to {run.kept[run.last][0]:.4g} s, velocities of "

@@ -103,7 +103,7 @@ def run(
         formats[PAGE] = partial(_write_models, suffix=".html", content=show)
     if to in MODELS and context.only is not None:
         raise CaseError(
-            f"--only: --to {to} exports models, which answer at all points; name models alone"
+            f"--only: --to {to} exports models, which are valid at all points; name models only"
         )
     workspace = Workspace(context)
     folder = into or context.out / FOLDER

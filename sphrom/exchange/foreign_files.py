@@ -41,11 +41,11 @@ MOST_BYTES = 16 * 1024 * 1024
 MOST_SNAPSHOT_BYTES = 2**30
 """Largest size of a snapshot [bytes], about six million particles with twenty fields."""
 MOST_ARRAYS = 1000
-"""Most arrays of one NumPy archive."""
+"""Largest number of arrays of one NumPy archive."""
 MOST_KINDS = 20
-"""Most kinds of particles that the values of a field distinguish."""
+"""Largest number of kinds of particles that the values of a field distinguish."""
 MOST_STEPS = 100_000
-"""Most snapshots of one file."""
+"""Largest number of snapshots of one file."""
 VTK_SECONDS = (10.0, 1e-7)
 """Time limit of VTK for one snapshot, constant and per byte of the file [s]."""
 VTK_BYTES = (2 * 2**30, 8 * 2**30)

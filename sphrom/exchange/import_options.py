@@ -47,14 +47,16 @@ class ImportOptions:
         str | None,
         _option(
             "A,B",
-            "Two fields, or three in space, or components such as points.x,points.y.  "
+            "Two fields, or three in three dimensions, or components such as points.x,points.y.  "
             "[default: x,y, or x,y,z]",
         ),
     ] = None
     velocity: Annotated[
         str | None,
         _option(
-            "A,B", "As many fields.  [default: u,v, or velocity.x,velocity.y; in space with w or z]"
+            "A,B",
+            "As many fields. [default: u,v, or velocity.x,velocity.y; in three dimensions "
+            "with w or z]",
         ),
     ] = None
     density: Annotated[str | None, _option("NAME", "Density.  [default: rho]")] = None
@@ -64,11 +66,11 @@ class ImportOptions:
     ] = False
     sort_by: Annotated[str | None, _option("NAME", "Field that numbers the particles.")] = None
     units: Annotated[
-        str, _option("UNITS", "Other than SI units, like length=mm,velocity=cm/s,time=0.1.")
+        str, _option("UNITS", "Units that are not SI, like length=mm,velocity=cm/s,time=0.1.")
     ] = ""
     origin: Annotated[
         str | None,
-        _option("X,Y", "Place of the scene's zero in the files, in their units.  [default: 0,0]"),
+        _option("X,Y", "Origin of the scene in the files' coordinates and units. [default: 0,0]"),
     ] = None
     time_step: Annotated[
         float | None, _option("TIME", "Time between files in order of names.  [default: as stored]")

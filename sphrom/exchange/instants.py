@@ -25,19 +25,20 @@ from sphrom.sph.time_loop import Snapshot, TimeSteps
 from sphrom.text import counted, shortened
 
 TIME_TOLERANCE = 1e-2
-"""Tolerance for the times of snapshots that are used unchanged, over the snapshot interval."""
+"""Tolerance for the times of snapshots that are used unchanged, relative to the snapshot
+interval."""
 SAME_TIME = 1e-9
-"""The same tolerance if other snapshots are interpolated."""
+"""The tolerance for such times if other snapshots are interpolated."""
 N_NODES = 4
 """Number of snapshots to interpolate from, by cubic polynomials."""
 FARTHEST = 2.0
-"""Largest motion of a particle between two snapshots, over that at the largest speed."""
+"""Largest motion of a particle between two snapshots, relative to that at the largest speed."""
 Choice = tuple[float, list[Source]]
 """A time [s] with the snapshot to use unchanged, or with those to interpolate between."""
 
 
 def find_sources(files: Sequence[Path], options: ImportOptions) -> list[Source]:
-    """Return the snapshots in files from the start on, ordered by time after the start [s].
+    """Return the snapshots in files since the start, ordered by time after the start [s].
 
     Raises CaseError when neither the files nor --time-step provide times, or fewer than two
     snapshots remain; ArtifactError when a file can't be read, or two have the same time.

@@ -57,15 +57,15 @@ SHOWN_DIGITS = 5
 SURE = 0.999
 """Probability that chi^2 of a correct model and noise stays below the limit for a warning."""
 TRUSTED = 4.0
-"""Largest part of chi^2 beyond noise, over the part that the estimated errors explain."""
+"""Largest part of chi^2 beyond noise, relative to the part that the estimated errors explain."""
 MOST_MINIMA = 5
-"""Most minima that the search refines with the model's errors."""
+"""Largest number of minima that the search refines with the model's errors."""
 WHOLLY = 0.99
 """Share of a parameter in undetermined directions above which it is undetermined."""
 SHOWN_SHARE = 0.01
 """The same share, above which it belongs to an undetermined combination."""
 MOST_SHOWN = 12
-"""Most histories in the terminal and in the figure."""
+"""Largest number of histories in the terminal and in the figure."""
 COLUMNS = 2
 """Columns of panels in the figure."""
 NUMBERS = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")
@@ -105,7 +105,7 @@ class Fit(records.Fit):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The free parameters, in the order of the axes of matrices."""
+        """The free parameters, in the order of the rows and columns of matrices."""
         return tuple(self.parameter_names.split(","))
 
     @property
@@ -270,7 +270,7 @@ def fit(
     if len(values) <= len(box.names):
         raise CaseError(
             f"{measurements.source}: {len(values)} values can't determine {len(box.names)} "
-            f"parameters ({', '.join(box.names)}); fix some of them in fit.parameters"
+            f"parameters ({', '.join(box.names)}); give values for some of them in fit.parameters"
         )
     model = fitted_model(fast, box, measurements.histories)
     from scipy.stats import chi2, qmc
@@ -399,7 +399,7 @@ def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
 
 
 def _about_the_search(box: studies.Box, likely: Sequence[Minimum], shares: Array) -> Iterator[str]:
-    """Yield warnings about minima that the noise can't distinguish from the first, the fit."""
+    """Yield warnings about other minima that the noise can't distinguish from the fit."""
     best = likely[0]
     if not best.converged:
         yield "the search has not converged: chi^2 may have a lower minimum"

@@ -41,9 +41,9 @@ TrainingDifferences = dict[Hashable, tuple[Array, Array]]
 """Differences in training runs with the sizes of errors, by basis and histories, for all fits."""
 
 DIFFERENCE = 1e-3
-"""Of the place, from which derivatives of models without sensitivities follow."""
+"""Difference of places from which derivatives of models without sensitivities follow."""
 FINER = 2
-"""Number of steps over that of the finest run; all parameters use the same number."""
+"""Number of steps relative to that of the finest run; all parameters use the same number."""
 
 
 def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
@@ -163,7 +163,7 @@ class FittedModel:
 
 
 class FittedEquations(FittedModel):
-    """The same of a model whose derivatives follow from its equations."""
+    """The fitted values of a model whose derivatives follow from its equations."""
 
     fast: FastModel
 
@@ -220,7 +220,7 @@ class FittedEquations(FittedModel):
         return reference_model.choose(reduced, steps)
 
     def over_time(self, place: Array) -> tuple[Array, Array, Array] | None:
-        """Return the same, with the derivatives of the model's equations."""
+        """Return the histories at all snapshots, with derivatives from the model's equations."""
         point = self.point(place)
         reduced = self.reduced(point)
         try:

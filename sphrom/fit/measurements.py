@@ -47,13 +47,13 @@ NOISE = "_noise"
 UNNAMED = ""
 """Name of the measurement for fields at the places of rows."""
 MOST_VALUES = 100_000
-"""Most values of one file; each one is a row of the Jacobian."""
+"""Largest number of values of one file; each one is a row of the Jacobian."""
 LEAST_NOISE = 1e-24
 """Least standard deviation, so that squares of quotients by it stay finite."""
 MOST_LINES = 2 * MOST_VALUES
-"""Most lines of one file, including those without values."""
+"""Largest number of lines of one file, including those without values."""
 TIME_TOLERANCE = 1e-6
-"""Tolerance for times beyond the snapshots, over the time between snapshots."""
+"""Tolerance for times beyond the snapshots, relative to the time between snapshots."""
 
 
 def at_place(case: Case) -> dict[str, Column]:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 SUPPORT_RATIO = 2.0
-"""Support radius of the smoothing kernel over its smoothing length (kappa)."""
+"""Support radius of the smoothing kernel relative to its smoothing length (kappa)."""
 
 when_compiling: list[Callable[[], object]] = []
 """Called when this process first has to compile a kernel that can be stored."""

@@ -30,7 +30,7 @@ class Axis(NamedTuple):
     n_cells: int
     """The number of points if periodic, else one less."""
     period: float
-    """Over the spacing; zero if the axis is not periodic."""
+    """The period in spacings; zero if the axis is not periodic."""
 
 
 @term

@@ -47,11 +47,11 @@ class Derived(NamedTuple):
     """The results of the first sweep that the second one needs."""
 
     pressure: Any
-    """Over c0^2 [kg/m3], with that of the damper."""
+    """Pressure, with that of the damper, divided by c0^2 [kg/m3]."""
     viscous: Any
     """c of the Laplacian."""
     gradient: Vector
-    """Of the density [kg/m4]."""
+    """Gradient of the density [kg/m4]."""
 
 
 class BesideWalls(NamedTuple):
@@ -119,7 +119,8 @@ def flow_at(source: Array, columns: Any) -> Flow:
 
 @inlined
 def derived_at(fields: Array, first: int, columns: Any) -> Derived:
-    """Return derived fields, whose rows begin with the first one, of a source or a slice."""
+    """Return the derived fields in the rows from `first` on, of one source or of a slice of
+    them."""
     return Derived(
         fields[first, columns],
         fields[first + 1, columns],

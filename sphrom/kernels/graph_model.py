@@ -52,7 +52,7 @@ class Limits(NamedTuple):
     top: float
     """[m] above the bottom."""
     least_depth: float
-    """Over the mean depth."""
+    """Smallest depth relative to the mean depth."""
 
 
 @term

@@ -24,7 +24,7 @@ from sphrom.kernels.vectors import Vector, element, minus, times
 Sums = tuple[float, ...]
 
 LEAST_SPREAD = 1e-3
-"""Determinant of the covariance, over h^4, below which fluid is too sparse for a slope."""
+"""Determinant of the covariance, relative to h^4, below which fluid is too sparse for a slope."""
 
 
 class Mirrors(NamedTuple):
@@ -37,7 +37,7 @@ class Mirrors(NamedTuple):
     ghost: Indices
     """(n_ghosts,) the ghosts, point by point."""
     way: Array
-    """(2, n_ghosts) from a ghost's mirror point to the ghost, over h."""
+    """(2, n_ghosts) from a ghost's mirror point to the ghost, relative to h."""
 
 
 @term

@@ -1,6 +1,6 @@
 """The terms of one pair of particles i and j (Eq. 2.6-2.14), in two or three dimensions.
 
-The offset is x_i - x_j; differences are those of j less those of i. A term is multiplied by
+The offset is x_i - x_j; differences are those of j minus those of i. A term is multiplied by
 `slope_weight` in the sum over j; so every term vanishes beyond the kernel's support, and no branch
 is needed. A particle and itself have no offset.
 """
@@ -25,7 +25,7 @@ TINY = 1e-30
 
 @term
 def slope_weight(offset: Vector, volume: float, inverse_length: float) -> float:
-    """Return G = F V_j, which is the kernel's gradient times the volume over the offset."""
+    """Return G = F V_j, so that G times the offset is the kernel's gradient times the volume."""
     distance = math.sqrt(dot(offset, offset))
     return gradient_factor(distance, inverse_length, len(offset)) * volume
 

@@ -49,9 +49,9 @@ class Limits(NamedTuple):
     closest: float
     """The least allowed."""
     touching: float
-    """At which shifting stops pushing and starts to compensate."""
+    """Distance at which shifting stops pushing and starts to compensate."""
     felt: float
-    """Beyond which it is not changed."""
+    """Distance beyond which shifting is not changed."""
     against: float
     """Share of the velocity across a wall that is compensated, 0 to 1."""
 

@@ -81,7 +81,8 @@ def space_flow(source: Array, columns: Any) -> Flow:
 
 @inlined
 def space_derived(fields: Array, first: int, columns: Any) -> Derived:
-    """Return derived fields, whose rows begin with the first one, of a source or a slice."""
+    """Return the derived fields in the rows from `first` on, of one source or of a slice of
+    them."""
     return Derived(
         fields[first, columns],
         fields[first + 1, columns],

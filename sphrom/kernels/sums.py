@@ -53,7 +53,7 @@ class Regularity(NamedTuple):
     matrix: tuple[float, float, float]
     """xx, xy, yy of minus the inverse of L_i (Eq. 2.11)."""
     gradient: Vector
-    """Of the density, to be multiplied by L_i."""
+    """The gradient of the density, to be multiplied by L_i."""
     support: Vector
     """The sum of the kernel's gradient."""
     push: Vector

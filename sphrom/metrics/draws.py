@@ -45,7 +45,8 @@ COMMON = ("loc", "scale")
 N_RESAMPLES = 500
 """Number of resamples of the bootstrap."""
 LEAST_SPREAD = 1e-9
-"""Standard deviation, over the largest value, below which an output varies by rounding only."""
+"""Standard deviation, relative to the largest value, below which an output varies by rounding
+only."""
 Along = Literal["time", "mean", "line"]
 """The meaning of an output's instants."""
 

@@ -55,7 +55,7 @@ NEARLY = 9.0
 MARGIN = 0.01
 """Distance of starts from the bounds, over the box's width."""
 TOLERANCE = 1e-9
-"""Of the search: relative changes of chi^2 and of the place, and the norm of the gradient."""
+"""Tolerance of the search: relative changes of chi^2 and the place, norm of the gradient."""
 NOWHERE = 1e8
 """Weighted residual where the model has no values."""
 MOST_EVALUATIONS = 100

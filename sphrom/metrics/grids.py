@@ -1,4 +1,4 @@
-"""Points on lines and grids, and the slices of a box in space that pictures show.
+"""Points on lines and grids, and the slices of a three-dimensional box that pictures show.
 
 Points are the midpoints of equal intervals, so that none is on the edges of a box, or twice on the
 two sides of a periodic one.
@@ -14,9 +14,9 @@ import numpy as np
 from sphrom.arrays import Array
 
 GAP = 0.06
-"""Distance between slices in a picture, over the longest edge of the box."""
+"""Distance between slices in a picture, relative to the longest edge of the box."""
 VIEWS = ((0, 1), (2, 1), (0, 2))
-"""The axes to the right and upwards of each slice of a box in space."""
+"""The axes to the right and upwards of each slice of a three-dimensional box."""
 Extent = tuple[float, float, float, float]
 """Left, right, lower and upper edge of a picture [m]."""
 
@@ -47,7 +47,8 @@ def grid_points(lower: Sequence[float], upper: Sequence[float], shape: Sequence[
 
 @dataclass(frozen=True)
 class Slices:
-    """The part of a box that pictures show: all of it in a plane, three slices of it in space.
+    """The part of a box that pictures show: a plane box as a whole, a three-dimensional one in
+    slices.
 
     The slices go through the middle of the box and lie side by side as in a technical drawing: that
     of x and y, to its right that of z and y, and above it that of x and z.

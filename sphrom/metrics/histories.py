@@ -9,9 +9,9 @@ is one instant, and each function returns one number per instant. Results that a
 ValueError; they arise from fields that are not finite, or a reference of zero.
 
 Quantities and the points of their comparison have one name, such as `velocity_field` or
-`pressure_line`. In the L2 norm, velocities are compared as vectors, and pressures less their mean
+`pressure_line`. In the L2 norm, velocities are compared as vectors, and pressures minus their mean
 over the points; in Eq. 4.1, speeds and the pressures themselves are. Estimated errors, and the true
-ones beside them, are root mean squares over the grid, of velocities and pressures less their mean.
+ones beside them, are root mean squares over the grid, of velocities and pressures minus their mean.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) 
 
 
 def without_mean(field: Array) -> Array:
-    """Return a field less its spatial mean; in a closed box the mean pressure is arbitrary."""
+    """Return a field minus its spatial mean; in a closed box the mean pressure is arbitrary."""
     return field - field.mean(axis=-1, keepdims=True)
 
 
@@ -112,7 +112,7 @@ class History:
     time: Array
     """(n_snapshots,) [s]"""
     places: Mapping[str, Series]
-    """By PLACES."""
+    """The errors over time, by PLACES."""
     without_sound: Mapping[str, Series] = field(default_factory=dict)
     """Errors of pressures averaged over time, by `pressure_field` and `pressure_line`.
 
@@ -177,7 +177,7 @@ def _varies(values: Array, probes: Probes) -> NDArray[np.bool_]:
 
 
 def _fluctuations(pressures: Sequence[Array], where: slice) -> list[Array]:
-    """Return pressures less their means over some points, as vectors of one component."""
+    """Return pressures minus their means over some points, as vectors of one component."""
     return [without_mean(p[:, where])[..., None] for p in pressures]
 
 

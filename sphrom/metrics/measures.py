@@ -46,9 +46,9 @@ Measured = Mapping[str, Quantities]
 """Quantities (n_snapshots, ...) of measurements, by the name of the measurement."""
 
 TORQUE = 2
-"""The row of the torque in a plane, after the components of the force; none in space."""
+"""The row of the torque in a plane, after the force's components; none in three dimensions."""
 TIME_TOLERANCE = 1e-9
-"""Times that differ by less than this are equal [s]."""
+"""Times that differ by less than this are treated as equal [s]."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 """The Gauss rule on each piece of a section."""
 
@@ -102,7 +102,7 @@ class FlowRate(SegmentMeasure):
 
     @staticmethod
     def through(ends: Array, longest: float) -> FieldMeasure:
-        """Return the flow rate through a segment, or through a rectangle in space.
+        """Return the flow rate through a segment, or in three dimensions through a rectangle.
 
         Its opposite corners (2, 3) [m] are equal along one axis.
         """
@@ -217,7 +217,7 @@ def why_missing(regime: str | None) -> str:
 
 
 def since(time: Array, from_time: float) -> Mask:
-    """Return whether times (n_snapshots,) [s] count from a time on."""
+    """Return the mask of times (n_snapshots,) [s] that are not before a given time."""
     return time >= from_time - TIME_TOLERANCE
 
 
@@ -286,7 +286,7 @@ def statistics(quantities: Quantities, counted: Mask) -> dict[str, Array]:
 
 
 SECOND_DIFFERENCE = 6.0
-"""Mean square of the second differences of uncorrelated noise, over that of the noise."""
+"""Mean square of the second differences of uncorrelated noise, relative to that of the noise."""
 NOISY, NEGLIGIBLE = 0.25, 0.005
 """Least share of noise in the mean square of a component with nothing but noise; largest share of
 a negligible component in the root mean square of its vector."""

@@ -27,7 +27,7 @@ class Quantity:
     """A measured quantity."""
 
     unit: str
-    """In a plane, where forces and flow rates are per metre of depth."""
+    """The unit in a plane, where forces and flow rates are per metre of depth."""
     meaning: str
     symbol: str = ""
     equation: str = ""
@@ -42,7 +42,7 @@ class Quantity:
     about_mean: bool = False
     """Whether its errors are relative to how it varies over time."""
     in_space: str | None = ""
-    """Its unit in three dimensions if another one, or None if it is only measured in a plane."""
+    """The unit in three dimensions if it differs; None if only measured in a plane."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -91,7 +91,7 @@ MEASURABLE: Mapping[str, Quantity] = {
 }
 """All measured quantities by name."""
 OF_WALLS = ("force", "torque")
-"""Loads, the components of which are recorded as those of pressure and of viscosity."""
+"""Loads, recorded as separate parts due to pressure and due to viscosity."""
 FROM_FIELDS = tuple(name for name, quantity in MEASURABLE.items() if quantity.of_field)
 """Quantities that are linear in velocity or pressure."""
 IN_FLUID = tuple(name for name in MEASURABLE if name not in (*OF_WALLS, COEFFICIENT))

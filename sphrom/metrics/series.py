@@ -33,13 +33,13 @@ STEADY, SHEDDING, UNDECIDED = REGIMES = ("steady", "shedding", "undecided")
 """Regimes of a flow: below the onset of its oscillation, beyond it, or too close to tell."""
 BELOW_ONSET = "the model's flow is steady there, below the onset of the oscillation"
 """Why a run in the regime STEADY has no frequency and no amplitude."""
-TOO_CLOSE = "estimates of the onset differ: the flow may oscillate or be steady"
+TOO_CLOSE = "it lies within the range of onset estimates: the flow may oscillate or be steady"
 """A warning about a run in the regime UNDECIDED."""
 NO_OSCILLATION = "fewer than three periods of an oscillation"
 """Why a record has no frequency and no amplitude."""
 AT_REST, SETTLED, LEAST_SETTLED = 0.05, 1e-3, 0.1
-"""Of a driving that grows from zero: its first value and its deviation when it is settled, over the
-final value, and the least share of the time in which it is settled."""
+"""For a driving that grows from zero: largest first value, and largest deviation when settled, both
+relative to the final value, and smallest share of the time in which it is settled."""
 UNIFORM_TOLERANCE = 1e-3
 """Largest relative difference between the intervals of a record."""
 
@@ -233,13 +233,14 @@ def _slope(abscissa: Array, ordinate: Array) -> float:
 N_RECORDS, N_IN_RECORD, N_SCALES = 64, 256, 36
 """Records of a signal at each scale, their samples, and the scales, each half of the one before."""
 FEWEST_TURNS, MOST_TURNS = 8, 64
-"""Turns of a record that show an oscillation: four periods at least, and eight samples a period."""
+"""Turning points that show an oscillation: at least four periods, with eight samples in each."""
 LEAST_CHANGE = 0.01
-"""Smallest change between samples that counts, over the largest absolute value of the signal."""
+"""Smallest change between samples that counts, relative to the largest absolute value of the
+signal."""
 STENCIL, N_HALVINGS = (-1.0, -0.5, 0.0, 0.5, 1.0), 40
 """Places that the search for a peak compares, and the number of halvings of their distance."""
 POLE = 1e4
-"""Growth of a peak, from samples to the end of that search, that only a pole has."""
+"""Growth of a peak during that search, from which it must be a pole."""
 N_PEAKS = 256
 """Largest number of peaks that are searched."""
 

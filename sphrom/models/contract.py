@@ -76,7 +76,7 @@ class Limit:
 
 
 def best_name(basis: str, n_modes: int) -> str:
-    """Return the name of the projection of full runs onto so many modes of a basis."""
+    """Return the name of the projection of full runs onto a number of modes of a basis."""
     return f"{BEST}, {basis} M={n_modes}"
 
 
@@ -139,8 +139,8 @@ _REFERENCE = {
 }
 """The functions of models with modes on the points of a reference space."""
 _NO_SYSTEM = (
-    "{model} is evaluated on particles, so it is no system of equations for its coordinates; "
-    "choose a model with evaluation: operators"
+    "{model} is evaluated on particles, so it has no equations for its coordinates; choose a "
+    "model with evaluation: operators"
 )
 _NO_POLYNOMIAL = "is not for models of a free surface"
 _NOT_PORTABLE = "{model} has a free surface, and only systems of polynomials are exported"
@@ -197,7 +197,7 @@ FAMILIES: Mapping[str, Family] = {
         lacks={
             Ability.EQUATIONS: _NO_POLYNOMIAL,
             Ability.SENSITIVITIES: _NO_POLYNOMIAL,
-            Ability.EXTREMES: "maps no models of a free surface",
+            Ability.EXTREMES: "has no maps of models of a free surface",
             Ability.MEMORY: "models of a free surface have no memory",
             Ability.MODE_FIELDS: "models of a free surface need no splines of modes",
             Ability.PORTABLE: _NOT_PORTABLE,
@@ -228,7 +228,8 @@ def basis_used(
 
 
 class Model(ABC, Generic[At]):
-    """One reduced model, at any parameters. If training runs choose its size, runs know it."""
+    """One reduced model, at any parameters. If training runs choose its size, its runs have that
+    size."""
 
     def __init__(
         self, workspace: Workspace, section: ReducedModelSection, stored: Any = None
@@ -297,11 +298,12 @@ class TrainedDifferences:
     """The errors of a training run that a model predicts from the others."""
 
     measured: dict[str, Quantities]
-    """(n_snapshots, ...) measurements of the full run less those of the model."""
+    """(n_snapshots, ...) measurements of the full run minus those of the model."""
     fields: Array
     """(n_snapshots, 2) root mean square errors of velocity [m/s] and pressure [Pa]."""
     missed: dict[str, Quantities]
-    """(...) errors of measurements that are due to the basis, over the error of their field."""
+    """(...) errors of measurements that are due to the basis, relative to the error of their
+    field."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -322,7 +324,7 @@ class ModelRun(ABC):
     correction: Array | None = None
     """(n_snapshots, n_modes) part of the coordinates that training runs add, if there is one."""
     ended: str | None = None
-    """Why the run ended early; None if it did not."""
+    """The reason why the run ended early; None if it did not."""
 
     @property
     def name(self) -> str:
@@ -417,10 +419,10 @@ class ModelRun(ABC):
 
     @property
     def unlike_training(self) -> tuple[str, ...]:
-        """How far the states of a run are from all of those in training, where that is known."""
+        """A sentence on the distance of the run's states from all training states, if known."""
         return ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Why a completed run may be wrong, as far as is known without a full run."""
+        """Reasons why a completed run may be wrong, as far as known without a full run."""
         return (*self.outside, *self.unlike_training)

@@ -27,11 +27,12 @@ class ErrorEstimate:
     velocity: Array = field(repr=False)
     """(n_snapshots,) root mean square error of the velocity over the fluid [m/s]."""
     pressure: Array = field(repr=False)
-    """(n_snapshots,) root mean square error of the pressure less its mean [Pa]."""
+    """(n_snapshots,) root mean square error of the pressure minus its mean [Pa]."""
     velocity_percent: float
-    """Over the whole run, relative to the root mean square of its velocity [%]."""
+    """Velocity error over the whole run, relative to the velocity's root mean square [%]."""
     pressure_percent: float
-    """Over the whole run, relative to the root mean square of its pressure less its mean [%]."""
+    """Error over the whole run of the pressure minus its mean, relative to its root mean square
+    [%]."""
     extrapolated: bool
     """Whether the run is outside the trained parameters or times."""
     residual: Array | None = field(repr=False, default=None)

@@ -21,7 +21,7 @@ STEP, TIME, MEMORY = "time step", "time", "memory length"
 """Varied quantities in addition to the parameters and properties of the full model."""
 UNITS = {STEP: " s", TIME: " s", MEMORY: " s"}
 MOST_ERROR = 2.0
-"""Largest error of an accurate run, over that of the default."""
+"""Largest error of an accurate run, relative to that of the default."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""The fields of stored runs, full and reduced: on their own points, and at any places.
+"""The fields of stored full and reduced runs, on their own points and at any places.
 
 Full runs and runs on particles store their fields. Runs of other models store coordinates, from
 which their family computes the fields.

@@ -1,4 +1,4 @@
-"""Frames of pictures: a part of the plane, or slices of a box in space, as pixels."""
+"""Frames of pictures: a part of the plane, or slices of a three-dimensional box, as pixels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Solids = tuple[Array, Array, Array]
 negative in the solid."""
 PIXELS_PER_SPACING = 3.0
 MAX_PIXELS = 400
-"""Most pixels along the longer side of a raster."""
+"""Largest number of pixels along the longer side of a raster."""
 NOWHERE = 1e30
 """Coordinate of pixels between slices, far from all points [m]."""
 REACH = 1.1

@@ -118,17 +118,17 @@ Range = tuple[float, float]
 Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
 MOST_TICKS, AN_INCH = 5, 1.5
-"""Most numbers along an axis, and per inch of a picture."""
+"""Largest numbers of labels along an axis, and per inch of a picture."""
 HANDLE = 0.6
 """Approximate width of a handle of a legend with its margins [inch]."""
 BEYOND = 2.0
-"""Largest extension of a shared scale beyond its given range, over that range."""
+"""Largest extension of a shared scale beyond its given range, relative to that range."""
 SHOWN = (0.5, 99.5)
 """Percentiles at the ends of a scale; extremes in corners would take up most colours."""
 N_MARKERS, MOST_MARKERS = 12, 26
 """Approximate number of markers along a run's curve, and along a reference with many points."""
 LEAST_GAP = 0.05
-"""Least distance between the labels of marked numbers, over the width of the axis."""
+"""Least distance between the labels of marked numbers, relative to the width of the axis."""
 EXTENDED: Any = ("neither", "min", "max", "both")
 """The pointed ends of a colour bar: neither, the lower, the upper, both."""
 LOOKS: dict[Role, dict[str, Any]] = {
@@ -196,11 +196,11 @@ def draw_grid(
 ) -> Figure:
     """Return a figure with rows of panels; pictures need a frame.
 
-    With `scales`, pictures with equal labels share a scale and a colour bar; `scales` has ranges by
-    label, such as those of the full run, which scales exceed at most by `BEYOND`. Without `scales`,
-    each picture has its own. Curves have one legend below, or one per panel if they differ or are
-    next to pictures. Below pictures, a panel of curves that is alone in its row spans all columns.
-    Raises ValueError without panels.
+    With `scales`, pictures with equal labels share a scale and a colour bar; `scales` has a range
+    for each label, such as that of the full run, and a scale exceeds its range by at most `BEYOND`.
+    Without `scales`, each picture has its own scale. Curves have one common legend below, or one
+    per panel if the curves differ or stand beside pictures. Below pictures, a panel of curves that
+    is alone in its row spans all columns. Raises ValueError without panels.
     """
     n_columns = max(map(len, rows), default=0)
     if not n_columns:

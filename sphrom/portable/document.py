@@ -77,8 +77,8 @@ def content(model: Model[Any]) -> bytes:
 def fields(model: Model[Any], n_columns: int) -> dict[str, Any]:
     """Return velocity and pressure of the modes at the centres of a grid's cells.
 
-    The grid is that of a picture, in space of slices. Outside of the fluid the fields are zero.
-    Raises CaseError if the model has no such fields.
+    The grid is that of a picture, in three dimensions that of its slices. Outside of the fluid the
+    fields are zero. Raises CaseError if the model has no such fields.
     """
     domain = model.workspace.case.scene.domain
     slices = Slices(domain.lower, domain.upper)

@@ -34,11 +34,11 @@ PLATFORMS = {("Linux", "x86_64"): "binaries/linux64/{}.so"}
 BLOCK = 100_000
 """References: parameters, the input and its switch, outputs, states and rates, BLOCK each."""
 STEP_SHARE = 0.125
-"""Steps in co-simulation, over the largest stable ones around training states."""
+"""Steps in co-simulation, relative to the largest stable ones around training states."""
 SECONDS = 300
 """Time that compilation may take [s]."""
 MOST_REASON = 500
-"""Most characters of the compiler's messages in a warning."""
+"""Largest number of characters of the compiler's messages in a warning."""
 
 
 def content(model: Model[Any]) -> bytes:
@@ -262,7 +262,7 @@ def _description(found: Mapping[str, Any], name: str) -> str:
         about = f"trained from {each['low']:g} to {each['high']:g}"
         add(0, k, each["name"], fixed, about, start=repr(each["default"]))
     if found["driving"] is not None:
-        about = "amplitude of the driving, where own_driving is 0; errors are unknown then"
+        about = "amplitude of the driving if own_driving is 0; errors are then unknown"
         add(1, 0, "driving", 'causality="input" variability="continuous"', about, start=0.0)
         about = "1: the driving has the history of the case; 0: that of the input"
         add(1, 1, "own_driving", fixed, about, start=1.0)
@@ -270,7 +270,10 @@ def _description(found: Mapping[str, Any], name: str) -> str:
     unknown = "estimated root mean square error; -1 where it is unknown"
     outputs += [(f"error_{label}", unit, unknown) for label, unit, _ in outputs]
     outputs += [("error_velocity", "m/s", unknown), ("error_pressure", "Pa", unknown)]
-    about = "1 outside of the training, where errors are extrapolated, and where they are unknown"
+    about = (
+        "1 if the run is outside of the training range, where errors are extrapolated, or if "
+        "errors are unknown"
+    )
     outputs += [("outside", "1", about)]
     for k, (label, unit, about) in enumerate(outputs):
         groups["outputs"].append(len(variables) + 1)

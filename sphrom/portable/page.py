@@ -25,13 +25,13 @@ from sphrom.text import visible
 from sphrom.version import __version__
 
 MOST_COLUMNS = 160
-"""Most columns of a picture's grid if the user gives no number."""
+"""Largest number of columns of a picture's grid if the user gives no number."""
 MOST_BYTES, FOR_FIELDS = 1_400_000, 400_000
-"""Most bytes of the page then, and bytes that the fields of modes may have on any page."""
+"""Largest number of bytes of the page in that case, and of the fields of modes on any page."""
 WRITTEN = 8.0 / 3.0
 """Bytes of a number of 16 bits in base64."""
 LEAST_COLUMNS, GREATEST_COLUMNS = 8, 500
-"""Least columns of a grid that shows anything, and greatest of a page that browsers still load."""
+"""Least number of columns that shows a flow, and greatest number that browsers still load."""
 LARGEST = 32767
 """The largest number of 16 bits."""
 ROUNDING = 1e-10
@@ -92,8 +92,9 @@ def _rounded(modes: Any) -> dict[str, Any]:
     """Return modes (n_dim + 1, n_columns, ny, nx) as rows of whole numbers with a scale each.
 
     A row of velocity has a component and a column; columns without velocity are left out. The
-    pressure of a state is a small difference of large contributions, and so would be its rounding
-    errors. Its rows are therefore orthogonal, and `mix` has their factors in each column.
+    pressure of a state is a small difference of large contributions, so rounding of these would
+    cause large errors. Its rows are therefore orthogonal, and `mix` has their factors in each
+    column.
     """
     n_dim = len(modes) - 1
     moving = np.flatnonzero(modes[:n_dim].any(axis=(0, 2, 3)))

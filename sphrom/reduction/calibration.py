@@ -80,7 +80,7 @@ class Calibration(Record):
     """The correction of the rates as a function of the parameters."""
 
     at_mean: CorrectedRates = part()
-    """At the mean viscosity."""
+    """The rates at the mean viscosity."""
     slope: CorrectedRates = part()
     """Zero if all runs had the same viscosity."""
     mean_viscosity: float = attribute("m2/s", "mean viscosity of the training runs")

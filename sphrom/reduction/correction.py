@@ -44,7 +44,8 @@ EVENNESS = 1e-6
 ROUNDING = 1e-12
 """Two points closer than this share of the largest distance are the same."""
 INSIDE = 1e-6
-"""A point is inside the hull up to this distance, over that of the farthest training point."""
+"""A point is inside the hull up to this distance, relative to that of the farthest training
+point."""
 
 
 def spline_weights(places: Array, place: Array) -> Array:
@@ -207,7 +208,7 @@ def learn_correction(
 def interpolated(
     places: Array, defects: Array, groups: Sequence[Indices] = ()
 ) -> Correction | None:
-    """Return the interpolation of defects, however poorly training runs predict each other's.
+    """Return the interpolation of defects, even if training runs predict each other's poorly.
 
     That of a single run is constant. Parameters: see `learn_correction`.
     """

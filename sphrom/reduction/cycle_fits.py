@@ -27,7 +27,7 @@ PERIODIC = 0.9
 SECOND = 0.02
 """Largest share of a second line, no harmonic of the first, in a run's fluctuations."""
 DECAYS = 0.9
-"""Amplitude in the second half of a record over that in the first, below which it decays."""
+"""Amplitude in the second half of a record relative to that in the first, below which it decays."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class LimitCycle:
     frequency: float
     """omega [rad/s]."""
     harmonics: Harmonics
-    """Of the coordinates."""
+    """Harmonics of the coordinates."""
 
     @property
     def states(self) -> Array:

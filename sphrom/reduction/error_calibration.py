@@ -18,7 +18,7 @@ training points C is multiplied by the ratio of its largest to its smallest trai
 to the distance over the largest distance between training points (at most one).
 
 Errors are root mean squares over the fluid: of the velocity [m/s], and of q = c0 rho'/rho0 [m/s]
-less its mean, which is the pressure over rho0 c0. For many runs they follow from products of
+minus its mean, which is the pressure over rho0 c0. For many runs they follow from products of
 snapshots with the basis, without reading the points again:
 |x - Phi a|^2 = x.x - 2 a.(Phi^T x) + a.(Phi^T Phi) a.
 """
@@ -215,7 +215,7 @@ class OutputErrors:
     noise: Array
     """(n_snapshots, *shape) mean square of the error's part that varies faster than sound."""
     share: Array
-    """(*shape) mean square of the rest, over that of the field's error."""
+    """(*shape) mean square of the rest, relative to that of the field's error."""
 
     def at(self, field: Array) -> Array:
         """Return the expected errors (..., n_instants, *shape) of the output in some runs.
@@ -238,7 +238,7 @@ def output_errors(
 
     Parameters
     ----------
-    differences : (n_runs, n_snapshots, *shape), full training runs less predicted ones. Diverged
+    differences : (n_runs, n_snapshots, *shape), full training runs minus predicted ones. Diverged
         runs have values that are not finite, and are left out.
     fields : (n_runs, n_snapshots), the errors of the field in these runs.
     missed : (*shape) of `sphrom.reduction.held_out.output_shares`.

@@ -88,7 +88,7 @@ def after(first: Array, second: Array, time_step: float) -> Array:
 
 
 Matrices = tuple[Array, Array, Array]
-"""Of steps of one length: stages, links and ends, see `sphrom.kernels.exponential`."""
+"""Matrices of steps of one length: stages, links and ends (`sphrom.kernels.exponential`)."""
 
 
 def _matrices(halves: Callable[[int], Array], time_step: float, n_states: int) -> Matrices:
@@ -156,11 +156,11 @@ class Change:
     """The derivative of a system with respect to one parameter."""
 
     polynomial: Polynomial
-    """Of the rates, with the same tensors as the system."""
+    """Derivative of the rates, with tensors of the same shapes as the system's."""
     start: Array
     """(n_modes,) Of the start coordinates."""
     amplitude: Amplitude | None = None
-    """Of the amplitude; None if it does not depend on the parameter."""
+    """Derivative of the amplitude; None if it does not depend on the parameter."""
 
 
 @cache

@@ -1,4 +1,4 @@
-"""The rates at fixed points, written once: named parts, each a polynomial of the fields.
+"""The rates at fixed points, defined once: named parts, each a polynomial of the fields.
 
 With rho0/rho expanded, the rates of `sphrom.sph.fixed_points` are quadratic in the state u, which
 consists of q and the velocity:

@@ -38,12 +38,12 @@ from sphrom.reduction.surface_basis import (
 )
 
 STEPS_A_PERIOD = 24
-"""Of the fastest mode of the elevation."""
+"""Steps in a period of the fastest elevation mode."""
 STEEPEST, LEAST_DEPTH = 1.0, 0.05
 """The largest slope of a run, unless training is near it, and the least depth over the mean depth.
 The highest standing wave has a crest of 90 degrees (Penney and Price, Phil. Trans. A 244, 1952)."""
 N_BELOW = 16
-"""Of the points of integration of the pressure's slope, from the bottom to the surface."""
+"""Number of integration points for the pressure's slope, from the bottom to the surface."""
 BLOCK = 8192
 """Number of pressures that are computed at a time, to limit memory."""
 REASONS = {
@@ -65,7 +65,7 @@ class GraphRun:
     end_time: float = math.nan
     """[s]"""
     end_place: float = math.nan
-    """Along x [m]."""
+    """Place x at which the run ended [m]."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,9 @@ class GraphModel:
     gravity_factor: float = 1.0
     """Calibrated; it multiplies gravity in the rates, but neither in pressure nor in energies."""
     gravity_growth: float = 0.0
-    """Of that factor, relative, with the square of the waves' amplitude [1/m2]."""
+    """Relative growth of that factor with the square of the waves' amplitude [1/m2]."""
     largest_square: float = math.inf
-    """Of the waves' amplitude [m2], beyond which that factor is constant."""
+    """Square of the waves' amplitude [m2] beyond which that factor is constant."""
     longest_step: float = math.inf
     """The longest step that resolves the force [s]."""
 

@@ -49,9 +49,9 @@ GRAVITY_STEPS, CLOSURE_STEPS = 3, 2
 N_CLOSED = 2
 """Numbers of elevation modes with which a closure is tried."""
 DIFFERENCE = 1e-4
-"""Of the numbers, for derivatives of runs."""
+"""Step of the numbers, for derivatives of runs."""
 MOST_GROWTH = 1e-6
-"""Of small waves about the fluid at rest, over the fastest frequency."""
+"""Largest growth rate of small waves about fluid at rest, over the fastest frequency."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class _Projected:
     coordinates: Array
     """(n_snapshots, n_modes + n_surface)."""
     products: tuple[Array, Array, Array]
-    """Of velocities, for the model's modes."""
+    """Products of velocities, for the model's modes."""
     cosines: Array
     """(n_snapshots, n_cosines) amplitudes of the elevation [m]."""
     level: Array
@@ -275,7 +275,8 @@ class _Fit:
         return _Fit(self.projected, numbers)
 
     def _differences(self, given: Array) -> Array:
-        """Return relative differences (n_given, n) of runs from training runs, each number's."""
+        """Return the relative differences (n_given, n) from training runs, for runs with given
+        numbers."""
         changes, out = [self.change(numbers) for numbers in given], []
         for one in self.projected:
             sizes = np.ones(len(self.scale))

@@ -24,9 +24,10 @@ from sphrom.arrays import Array, Indices
 MOST_CORNERED = 8
 """Largest number of parameters for which all corners of the region are candidates."""
 APART = 0.5
-"""Least distance between places chosen together, over that of the first from the trained ones."""
+"""Least distance between places chosen together, relative to that of the first from the trained
+ones."""
 NEAR = 0.25
-"""Least distance from the trained places, over that of the farthest candidate.
+"""Least distance from the trained places, relative to that of the farthest candidate.
 
 Close to a training run the error is that of training, which a further run would not reduce.
 """

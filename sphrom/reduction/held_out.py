@@ -39,15 +39,15 @@ from sphrom.metrics.quantities import FROM_FIELDS, OF_WALLS, stored
 from sphrom.reduction.correction import interpolation_weights, learn_correction
 from sphrom.reduction.trial_basis import TrialBasis
 
-OF_FIELDS = ", of velocity and of c0 rho'/rho0 less its mean"
+OF_FIELDS = ", of velocity and of c0 rho'/rho0 minus its mean"
 _UNHELD = (
     "root mean square error of the best approximation over the change {}, of training snapshots "
-    "left out of a basis of 1, 2, ... modes; of the velocity, then of c0 rho'/rho0 less its mean, "
+    "left out of a basis of 1, 2, ... modes; of the velocity, then of c0 rho'/rho0 minus its mean, "
     "then of the same in as many modes of its own"
 )
 
 ROUNDING = 1e-13
-"""Smallest eigenvalue of the products that counts as a mode, over the largest."""
+"""Smallest eigenvalue of the products that counts as a mode, relative to the largest."""
 UNTRIED = 3.0
 """Share of a change with the parameters over that with time, if only the latter was measured.
 
@@ -63,9 +63,9 @@ class SnapshotProducts:
     """Products (n_snapshots, n_snapshots) of snapshots with each other, run by run."""
 
     fields: tuple[Array, Array]
-    """Means over the fluid: of the velocities, and of q less its mean [m2/s2]."""
+    """Means over the fluid: of the velocities, and of q minus its mean [m2/s2]."""
     states: Array
-    """In the inner product of whole states, which defines the modes."""
+    """Products of whole states in the inner product that defines the modes."""
     means: Array
     """(n_snapshots,) mean density fluctuations of snapshots whose states have none, else zeros."""
 
@@ -314,11 +314,11 @@ def _errors(products: SnapshotProducts, trained: Indices, left_out: Indices, n_m
 DIVERGED = 1e6
 """Relative error assigned if a run diverged."""
 NEARER = 0.5
-"""Distance of predictions from training runs, over that of held-out runs."""
+"""Distance of predictions from training runs, relative to that of held-out runs."""
 CLOSE = 1.1
-"""Velocity's error, over the least one, up to which more integrated modes are preferred."""
+"""Velocity error, relative to the least one, up to which more integrated modes are preferred."""
 ALIKE = 1.03
-"""Product of errors, over the least one, up to which fewer modes are as good."""
+"""Product of errors, relative to the least one, up to which fewer modes are as good."""
 
 
 def surrounded(places: Array) -> Indices:

@@ -56,11 +56,11 @@ from sphrom.reduction.reduced_operators import Polynomial, ReducedOperators
 from sphrom.sph.fluid import NONE, Factors
 
 RIDGE = 1e-4
-"""Penalty of fits, over the mean square of a direction in which the cycle moves."""
+"""Penalty of fits, relative to the mean square of a direction in which the cycle moves."""
 TRENDS = (-0.25, 0.25)
 """Powers of the viscosity with which the Landau coefficient may change."""
 FARTHEST = 100.0
-"""Largest viscosity at which the onset is looked for, over that of the training runs."""
+"""Largest viscosity at which the onset is looked for, relative to that of the training runs."""
 ROUNDING = 1e-9
 """Largest error of comparable parameters that weights reproduce."""
 N_HALVINGS = 50

@@ -101,7 +101,7 @@ class _Rates:
         return PointFields(self._points, q, velocity, slopes).at(EVERYWHERE)
 
     def _rates(self, rows: Array) -> Array:
-        """Return rates (1 + n_dim, n_fields, n_points), less the mean if the volume is fixed."""
+        """Return rates (1 + n_dim, n_fields, n_points), minus the mean if the volume is fixed."""
         n_dim = len(self._modes.velocity)
         rates = rates_of(rows, n_dim)
         if self._points.fixed_volume and len(rows) > n_dim:

@@ -37,7 +37,7 @@ Weigh = Callable[[slice], Array]
 """Return the weights (n_weights, 2 + n_dim, n) of the rows of forms at some points."""
 
 DROPPED = 1e-5
-"""Directions are dropped if their singular value, over the largest, is below this."""
+"""Directions are dropped if their singular value, relative to the largest, is below this."""
 
 
 def _ignore(n_points: int) -> None:

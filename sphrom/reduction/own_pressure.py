@@ -52,7 +52,7 @@ CANDIDATES = (
 """The candidates, from simple to complex: the pressure of the model's modes, the same with own
 modes from the balance of momentum, each with additions from training runs, and own modes alone."""
 WIDER = 3
-"""Size of the space in which pressures are compared, over the number of own modes."""
+"""Size of the space in which pressures are compared, relative to the number of own modes."""
 NEGLIGIBLE = 1e-6
 """Relative errors that differ by less are alike; smaller ones may be rounding."""
 

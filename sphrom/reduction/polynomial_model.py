@@ -25,8 +25,8 @@ SAFETY = 0.9
 RUNGE_KUTTA, EXPONENTIAL = "runge-kutta", "exponential"
 """Names of the integration methods in artifacts."""
 CONVERGED, MOST_STEPS, N_HALVINGS = 1e-10, 50, 20
-"""Newton's method: norm of a steady state's rates over that of their terms, largest number of
-steps, largest number of halvings of a step."""
+"""Newton's method: norm of a steady state's rates relative to that of their terms, largest number
+of steps, largest number of halvings of a step."""
 
 
 def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) -> float:
@@ -51,7 +51,7 @@ class OutputTimes:
     start_time: float = 0.0
     """[s]."""
     largest_norm: float = 1e100
-    """Of the coordinates; a run with a larger norm has diverged."""
+    """Largest norm of the coordinates; a run with a larger norm has diverged."""
     trained: float = math.inf
     """Duration for which the limit holds [s]; it grows in proportion for longer runs."""
 

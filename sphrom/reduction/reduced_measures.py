@@ -182,7 +182,7 @@ class ReducedForce(Record):
         return parts
 
     def _terms(self, loads: Array) -> Array:
-        """Return loads (3, n_terms) of the constant part alone, of the modes, or of all terms."""
+        """Return the loads (3, n_terms) of the constant part, of the modes, or of both."""
         terms = np.zeros_like(self.pressure)
         if loads.ndim == 1:
             terms[:, 0] = loads

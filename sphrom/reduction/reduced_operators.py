@@ -261,7 +261,7 @@ class _Parts(Record):
 
     @classmethod
     def of_parts(cls, by_part: Mapping[str, Any], parameters: Iterable[str], **others: Any) -> Self:
-        """Return the record of parts named as in `by_part`, and of driving parameters."""
+        """Return the record of parts named as in `by_part`, given the driving parameters."""
         drive = fields_of_record(cls)["drives"].record
         assert drive is not None
         drives = {
@@ -324,7 +324,8 @@ class ReducedOperators(_Parts):
 
     @property
     def skewness(self) -> float:
-        """Largest entry of the acoustic part's symmetric part, over the largest entry of the part.
+        """Largest entry of the acoustic part's symmetric part, relative to the largest entry of the
+        part.
 
         In the acoustic product it is zero up to rounding: projection creates no sound.
         """

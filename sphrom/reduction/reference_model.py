@@ -44,7 +44,7 @@ class ReferenceModel:
     mean_density_fluctuation: float = 0.0
     """The separate mean [kg/m3]."""
     amplitude: polynomial_model.Amplitude | None = None
-    """Of the body force or of driven walls, if it changes."""
+    """The amplitude of the body force or of driven walls, if it changes with time."""
     closure: Polynomial | None = None
     """The part of the polynomial that a closure or calibration added to the projected rates."""
     memory_length: float | None = None
@@ -52,7 +52,8 @@ class ReferenceModel:
     states: Array | None = None
     """(n_states, n_modes) training states; steps must be stable around them and the start."""
     linear: LinearPart | None = None
-    """Of exponential steps, a Jacobian at training states; without it, steps are Runge-Kutta's."""
+    """Linear part of exponential steps, a Jacobian at training states; None for Runge-Kutta
+    steps."""
     longest_step: float = math.inf
     """The longest step that resolves the amplitude [s]."""
     first_step: float | None = None

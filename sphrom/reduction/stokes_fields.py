@@ -38,10 +38,10 @@ PENALTY, SMOOTHING, REGULARIZATION = 1e4, 1.0, 1e-10
 """Weights, relative to the dissipation, of the wall conditions, of third derivatives times the
 spacing, and of the coefficients."""
 LEAK = 0.1
-"""Largest flow through a wall, or motion into a touching wall, over the wall's own motion."""
+"""Largest flow through a wall, or motion into a touching wall, relative to the wall's motion."""
 
 TOUCHING = 2.0
-"""Distance of walls that touch each other, over the spacing."""
+"""Distance of walls that touch each other, in spacings."""
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute
 
 DEGREE = 4
-"""Of the splines."""
+"""Degree of the splines."""
 SMOOTHING = 1.25e-7
-"""Weight of the penalty, over the square of the box's area."""
+"""Weight of the penalty, relative to the square of the box's area."""
 
 
 class StreamSpace(Record):

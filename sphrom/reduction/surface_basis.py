@@ -16,11 +16,11 @@ from sphrom.reduction.stream_functions import StreamSpace, cosine_coordinates
 from sphrom.reduction.surface_errors import SurfaceErrors
 
 N_COLUMNS, N_HEIGHTS = 24, 6
-"""Of the points of integration."""
+"""Numbers of columns of integration points, and of points in each."""
 SURFACE_VARIANCE = 1e-6
 """Share of the elevation's variance that its modes leave out."""
 SLOPE_BEYOND_TRAINING = 1.5
-"""The largest slope of a run over the largest trained, beyond which the run is in doubt."""
+"""The largest slope of a run relative to the largest trained, beyond which the run is doubtful."""
 
 
 class SurfaceBasis(Record):
@@ -40,7 +40,7 @@ class SurfaceBasis(Record):
 
     @property
     def modes_above_noise(self) -> int:
-        """How many modes have more energy than noise has in one direction."""
+        """Number of modes with more energy than noise has in one direction."""
         return int((self.energies > self.noise).sum())
 
     def reduced(self, n_modes: int, n_surface: int) -> SurfaceBasis:
@@ -161,7 +161,7 @@ class TrainedGraph(Record):
 
     @property
     def error(self) -> float:
-        """Of elevation and velocity together, calibrated."""
+        """Error of elevation and velocity together, with calibration."""
         return float(np.hypot(self.elevation_error, self.velocity_error))
 
 

@@ -25,14 +25,14 @@ from sphrom.metrics.quantities import IN_FLUID, OF_WALLS, stored
 from sphrom.reduction.correction import PLACES
 
 LEAST_AMPLITUDE = 0.1
-"""Least amplitude that is divided by, over the largest one of the training runs."""
+"""Least amplitude that is divided by, relative to the largest one of the training runs."""
 
 
 class RunMeasure(Record):
     """The errors of a measurement in training runs."""
 
     quantities: Mapping[str, Array] = stored(
-        (*OF_WALLS, *IN_FLUID), "run snapshot", meaning="full run less the model: {}"
+        (*OF_WALLS, *IN_FLUID), "run snapshot", meaning="full run minus the model: {}"
     )
 
 

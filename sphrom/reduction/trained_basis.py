@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 ALL_MODES, LEADING = "all", "leading"
 """The names of the rates of all modes, and of those of the modes that are integrated."""
-_DIFFERENCE = "of held-out training runs, full less predicted"
+_DIFFERENCE = "of held-out training runs, full minus predicted"
 
 
 class TrainedRates(Record):
@@ -136,7 +136,7 @@ class HeldOutRuns(Record):
     )
     errors: Array = dataset(
         "held_out_run compared_snapshot field", "m/s",
-        "root mean square errors over the fluid, of velocity and of c0 rho'/rho0 less its mean",
+        "root mean square errors over the fluid, of velocity and of c0 rho'/rho0 minus its mean",
     )  # fmt: skip
 
 

@@ -60,7 +60,7 @@ SHOWN_VALUES = (1, 2, 3, 5, 10, 15, 20, 30, 50)
 SHARE_DIGITS = 7
 """Digits of shares of modes, which differ from 100 % only in their last digits."""
 SHORT = 10
-"""Number of characters from which on a figure is rounded."""
+"""Number of characters from which a figure is rounded."""
 N_FRAMES = 25
 GAP = 1
 """Width of the white gap between panels, in pixels."""
@@ -116,7 +116,7 @@ def run(context: StageContext) -> None:
 
 
 def _links(workspace: Workspace) -> Iterator[Html]:
-    """Yield links to the exported pages of the case's models that were not trained again since."""
+    """Yield links to those exported pages that are not older than their models."""
     for model in workspace.case.rom:
         trained = workspace.model(model).path
         path = workspace.out / FOLDER / f"model-{model.name}.html"

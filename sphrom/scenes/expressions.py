@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from sphrom.scenes.histories import History
 
 MAX_DEPTH = 50
-"""Most levels of nested brackets and operators."""
+"""Largest number of levels of nested brackets and operators."""
 MOST_QUOTED = 80
-"""Most characters of an expression that a message quotes."""
+"""Largest number of characters of an expression that a message quotes."""
 FUNCTIONS = {
     "abs": 1, "arccos": 1, "arcsin": 1, "arctan": 1, "arctan2": 2, "cos": 1, "cosh": 1, "exp": 1,
     "log": 1, "log10": 1, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1, "where": 3,
@@ -36,9 +36,10 @@ FUNCTIONS = {
 CALLED = ("interp", "max", "min")
 """Functions that are evaluated before the others, because numexpr lacks them."""
 MOST_COMPILED = 1000
-"""Most texts whose trees and compiled forms are kept, because points of a case share them."""
+"""Largest number of texts whose trees and compiled forms are kept, because points of a case share
+them."""
 MOST_INPUTS = 30
-"""Most variables and calls of those functions that numexpr can take."""
+"""Largest number of variables and calls of those functions that numexpr can take."""
 CONSTANTS = {"pi": math.pi}
 Histories = Mapping[str, "History | Function"]
 Given = Mapping[str, Array | float]

@@ -39,7 +39,7 @@ class Scales:
     speed: float
     """Largest speed of the flow [m/s]."""
     density: float
-    """At zero pressure [kg/m3]."""
+    """The density at zero pressure [kg/m3]."""
     kinematic_viscosity: float
     """[m2/s]."""
     values: Mapping[str, float] = field(default_factory=dict)

@@ -67,7 +67,7 @@ FILES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
         {"source": "finite differences", "offset": 1.25, "averaged": True},
     ),
 }
-"""By file name: the kind of scene, the kind of its lid, and properties shared by all profiles."""
+"""Kind of scene, kind of its lid, and properties shared by all profiles, by file name."""
 
 
 def profiles_for(kind: str, lid: str | None, reynolds: float) -> tuple[ReferenceProfile, ...]:

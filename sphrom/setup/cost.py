@@ -54,10 +54,10 @@ TENSOR_COPIES = 14
 SECONDS_PER_NEIGHBOUR = 3e-8
 """Time per step and neighbour of a particle on one core, measured on the three demo cases."""
 GHOST = 4.5
-"""The cost of a ghost over that of a particle, with the terms of walls."""
+"""The cost of a ghost, including the terms of walls, relative to that of a particle."""
 AT_NO_MODE, EACH_MODE = 1.1, (4.5, 0.8)
-"""A Galerkin step's cost over the full model's: without modes, and that of polyharmonic splines at
-no mode and for each, over the root of the number of neighbours."""
+"""Cost of a Galerkin step relative to a full step: without modes; and of polyharmonic splines at no
+mode and for each mode, both divided by the root of the number of neighbours."""
 B_SPLINES = (0.92, 0.053)
 """The same cost with B-splines, at no mode and for each. All measured in processor time at 48
 neighbours (80x80, lid-driven cavity) and 200 (150x150, Taylor-Green), M = 5 to 30."""
@@ -214,7 +214,7 @@ def uncounted_time(seconds: float) -> StageTime:
 
 
 def stage_times(context: StageContext) -> dict[str, StageTime]:
-    """Return the approximate times of the stages of `run`, if all of their work has to be done.
+    """Return the approximate times of the stages of `run` if no artifacts exist yet.
 
     Small cases take the time of loading and of many small steps, measured on the demo cases.
     """

@@ -33,7 +33,7 @@ VECTORS_BELOW = 5_000
 WIDTH, HEIGHT = 9.0, 7.5
 """Largest size of the frame [inch]."""
 LONGEST_ARROW, MOST_ARROWS = 0.08, 12
-"""Length for the fastest wall, over the frame's diagonal, and number per wall."""
+"""Length for the fastest wall, relative to the frame's diagonal, and number per wall."""
 FLUID, GHOST, MOVING, MEASURED = panels.COLOURS[5], "#8a8a8a", panels.COLOURS[1], panels.COLOURS[3]
 NAME: Any = {
     "fontsize": 8.5,

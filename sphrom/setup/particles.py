@@ -36,9 +36,9 @@ from sphrom.sph.watch import Watch
 AnyForces = WallForces | SpaceWallForces
 
 SAMPLING_RATIO = 2.0
-"""Smoothing length of the moving least squares that sample particles, over the spacing."""
+"""Smoothing length of the moving least squares that sample particles, relative to the spacing."""
 LOOK_EVERY = 8
-"""Least number of steps between looks at a full run, which then take 0.3 % of its time."""
+"""Smallest number of steps between checks of a full run, which then take 0.3 % of its time."""
 HEIGHTS = 2
 """Number of heights per particle spacing at which the elevation is searched."""
 
@@ -362,7 +362,7 @@ class ParticleFluid:
     """Fluid with a free surface at one instant of a full run, as measurements need it."""
 
     elevations: Mapping[float, Array]
-    """The height of the surface [m], by x [m]."""
+    """The height of the surface [m] as a function of x [m]."""
     centre_of_mass: Array
     """(2,) [m]."""
     kinetic_energy: Array

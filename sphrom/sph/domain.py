@@ -22,9 +22,10 @@ from sphrom.sph.polygons import ROUNDING, least_widths
 from sphrom.text import place_text
 
 FINEST = 5e-5
-"""Size of the finest features that count in the measurement of widths, over that of the box."""
+"""Size of the finest features that count in the measurement of widths, relative to that of the
+box."""
 WHOLE_TOLERANCE = 1e-6
-"""Largest distance of a wall from the lattice, over the particle spacing."""
+"""Largest distance of a wall from the lattice, relative to the particle spacing."""
 SIDES = (("left", "right"), ("bottom", "top"), ("back", "front"))
 """Names of the walls at the lower and upper ends of each axis."""
 

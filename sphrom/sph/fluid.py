@@ -32,7 +32,7 @@ Factors = Mapping[str, float]
 NONE: Factors = MappingProxyType({})
 """No parameter differs from the scene's value."""
 RISE, FALL = 0.3, 0.1
-"""Shares of a strip's width over which lambda rises, where fluid enters, and falls."""
+"""Shares of a strip's width over which lambda rises (where fluid enters) and falls."""
 
 Rates = Callable[[Array], Array]
 """Return rates (n_positions,) at positions (2, n_positions) [m] in the box."""
@@ -104,7 +104,7 @@ class Discretization:
     shifting_transport: Literal["advective", "paper"] = "advective"
     """Transport by shifting: of differences, by a particle's own shift; or as printed."""
     wall_kind: str = "mirrored"
-    """The rule of walls, of `sphrom.sph.walls.kinds`."""
+    """The wall rule, one of `sphrom.sph.walls.kinds`."""
     free_slip: bool = False
     """Whether fluid slips along walls without friction."""
     free_surface: bool = False

@@ -255,9 +255,9 @@ class Functional:
     ) -> tuple[WallTerms | None, Array | None]:
         """Return the wall terms, and the body force less resistance (2, n_particles) [m/s2].
 
-        The latter contains the terms of a user, too.
+        The body force includes the terms that a user adds.
 
-        The former are None without walls, the latter is None without force and resistance.
+        The wall terms are None without walls, the force is None without force and resistance.
         """
         force = None if self.body_force is None else self.body_force(position, time)
         if self.resistance is not None:

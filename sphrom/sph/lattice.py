@@ -12,7 +12,7 @@ from sphrom.kernels.lattice_sums import Images
 from sphrom.sph.domain import Domain
 
 LATTICE_TOLERANCE = 1e-6
-"""Largest distance of a point from the lattice, over its spacing."""
+"""Largest distance of a point from the lattice, relative to its spacing."""
 
 
 def lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, ...], Indices]:

@@ -23,7 +23,7 @@ from sphrom.sph.fluid import Discretization
 CELL_SIZE_RATIO = (0.5, 4.0)
 """Cell width and height over the particle spacing; these are the fastest of several tried."""
 MOVE_RATIO = 0.3
-"""Displacement of a particle, over the spacing, after which the list is rebuilt."""
+"""Displacement of a particle, relative to the spacing, after which the list is rebuilt."""
 SLACK = 1.01
 """Safety factor on displacements for the length of candidate lists, against rounding."""
 

@@ -33,7 +33,7 @@ STEP_RATIO = 0.5
 DAMPING = 0.1
 """Share of the pseudo-velocity lost per step."""
 NEAREST = 0.5
-"""Least distance of particles from walls, over the spacing."""
+"""Least distance of particles from walls, relative to the spacing."""
 N_PASSES = 3
 """Number of moves away from the nearest wall; in a corner the nearest wall changes between them."""
 

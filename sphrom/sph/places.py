@@ -18,11 +18,12 @@ N_SAMPLES = 200
 SAMPLES = {2: N_SAMPLES, 3: 40}
 """Intervals along each edge of a box between places of checks, by the number of its axes."""
 BESIDE, N_NEAREST = 1e-6, 4 * N_SAMPLES
-"""Distance of places beside a jump from it, over that of samples, and samples that lead to it."""
+"""Distance of places beside a jump from it, relative to that of samples, and samples that lead to
+it."""
 N_PEAKS = 16
 """Samples with the largest values, from which peaks of a field are searched."""
 TOUCHING = 1e-6
-"""Tolerated distance of a wall from the edge of the fluid, over its length."""
+"""Tolerated distance of a wall from the edge of the fluid, relative to its length."""
 
 
 class Places:
@@ -126,7 +127,7 @@ class Places:
     def peak(self, size: Callable[[Array], Array]) -> tuple[float, Array]:
         """Return the largest value of a field in the fluid, and its place (2,) [m].
 
-        Peaks narrower than the distance between samples are found from their feet.
+        A peak narrower than the distance between samples is found by a search from its flanks.
         """
         lengths = np.array(self._domain.lengths)
 

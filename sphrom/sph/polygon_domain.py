@@ -43,9 +43,9 @@ from sphrom.sph.polygons import (
 )
 
 PRECISION = 1e-10
-"""Accuracy of corners, over the size of the box; finer differences are rounding."""
+"""Accuracy of corners, relative to the size of the box; finer differences are rounding."""
 LEAST = 1e-7
-"""The least size of a solid, over that of the box."""
+"""The least size of a solid, relative to that of the box."""
 N_CELLS = 128
 """Largest number of cells along the box's longer edge, for the lists of segments."""
 MARGIN = 8.0
@@ -383,7 +383,7 @@ def _divided(line: BaseGeometry, corners: Array, spacing: float) -> Array:
 N_SHIFTS = 64
 """Number of candidate shifts."""
 SHIFT = np.array((0.7548776662466927, 0.5698402909980532))
-"""Difference of successive shifts, over the pitch; its multiples fill a square evenly."""
+"""Difference of successive shifts, relative to the pitch; its multiples fill a square evenly."""
 
 
 def pitches(domain: Domain, particle_spacing: float) -> tuple[float, float]:

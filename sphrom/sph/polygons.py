@@ -23,11 +23,11 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.arrays import Array, Indices, Mask
 
 Lengths = tuple[float, ...]
-"""Of the box, along x and y [m]."""
+"""Lengths of the box along x and y [m]."""
 Periodic = tuple[bool, ...]
 
 ROUNDING = 1e-9
-"""Tolerance for equal lengths up to rounding, over the size of the box."""
+"""Tolerance for equal lengths up to rounding, relative to the size of the box."""
 MOST_CROSSINGS = 1e5
 """Largest number of crossings between combined shapes; this many take a second."""
 N_EDGES = 50

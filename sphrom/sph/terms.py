@@ -1,8 +1,8 @@
 """Terms that a user adds to the acceleration of the fluid.
 
-A term is A(x) u + B(x)(u, u) + a(x, u, t). Operators on fixed points can be projected for A and B,
-which are polynomials of the velocity u, but not for any function a. A Coriolis force, -2 Omega x u,
-is linear.
+A term is A(x) u + B(x)(u, u) + a(x, u, t). The parts with A and B are polynomials of the velocity
+u, so operators can be projected for them, but not for an arbitrary function a. A Coriolis force, -2
+Omega x u, is linear.
 """
 
 from __future__ import annotations

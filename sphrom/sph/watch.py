@@ -1,4 +1,4 @@
-"""A watch over the snapshots of a full run, which looks for effects without a cause."""
+"""A check of the snapshots of a full run, which searches for unphysical effects."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ flow's speed. Good runs gain 0.4 % of their kinetic energy at most (a breaking d
 that sloshes, standing waves and flows by body forces: none), a tank of water at a Reynolds number
 of 8e5 with 16 particles across 0.8 to 5 times its work, and 0.02 over the flow's speed."""
 MOST_OF_DRIVE = 2.0
-"""Largest kinetic energy over that of all fluid at the speed of walls and inflow; measured are 0.03
-to 0.2 for walls (lids, rotating cylinders, an L-shaped cavity, a fin)."""
+"""Largest kinetic energy relative to that of all fluid at the speed of walls and inflow; measured
+are 0.03 to 0.2 for walls (lids, rotating cylinders, an L-shaped cavity, a fin)."""
 MOST_AT_REST = 0.01
-"""Largest root mean square speed of fluid that nothing drives, over the flow's; that tank has 0.03
-without a force."""
+"""Largest root mean square speed of fluid that nothing drives, relative to the flow's; that tank
+has 0.03 without a force."""
 MOST_FLUCTUATION, PER_MACH_SQUARED = 0.015, 0.5
-"""Largest root mean square of (rho - rho_0)/rho_0 less its mean, or if larger, over the Mach number
-squared. In 13 good flows at Ma = 0.1 it is 0.0005 to 0.0031, with an inflow 0.0084."""
+"""Largest root mean square of (rho - rho_0)/rho_0 minus its mean, or if larger, relative to the
+Mach number squared. In 13 good flows at Ma = 0.1 it is 0.0005 to 0.0031, with an inflow 0.0084."""
 MOST_DRIFT, MOST_DRIFT_BELOW_SURFACE = 5e-4, 5e-3
 """Largest change of the mean density over rho_0. In good flows it is 8e-6 at most, and below free
 surfaces 6e-4, or 2e-3 where a dam breaks, and 7e-5 with an inflow."""
@@ -31,7 +31,7 @@ surfaces 6e-4, or 2e-3 where a dam breaks, and 7e-5 with an inflow."""
 
 @dataclass
 class Watch:
-    """Looks for effects without a cause in the snapshots of a full run.
+    """Searches the snapshots of a full run for unphysical effects.
 
     Energy is kinetic, potential, and that of compression. It may grow by the work of the body
     force, which is integrated over the snapshots by Simpson's rule. Work of walls and inflow is
@@ -45,13 +45,13 @@ class Watch:
     drive_speed: float = 0.0
     """The largest speed of walls and inflow [m/s]."""
     gravity: float = 0.0
-    """Along -y [m/s2]; `force` contains it."""
+    """Gravity along -y [m/s2]; `force` includes it."""
     force: Callable[[Array, float], Array] | None = None
     _: KW_ONLY
     is_driven: bool = True
     has_surface: bool = False
     look_every: int = 1
-    """Number of snapshots of which one is looked at."""
+    """Interval of the checked snapshots: one in so many."""
 
     def __post_init__(self) -> None:
         self._n_seen = 0
@@ -100,7 +100,7 @@ class Watch:
         self._before = time, now, position, velocity
 
     def findings(self) -> Iterator[str]:
-        """Yield the effects without a cause, in words."""
+        """Yield the unphysical effects, in words."""
         if len(self._rows) < 2:
             return
         rows = np.array(self._rows).T
@@ -121,8 +121,8 @@ class Watch:
             worst = int(np.argmax(beyond))
             speed = math.sqrt(2.0 * gain[worst])
             yield (
-                f"at t = {time[worst]:.4g} s the fluid has more energy than all work done on it "
-                f"explains: it is that of a speed of {speed:.3g} m/s of all fluid"
+                f"at t = {time[worst]:.4g} s the fluid has more energy than the work done on "
+                f"it explains: the excess is that of a speed of {speed:.3g} m/s of all fluid"
             )
         mach = self.max_speed / self.sound_speed
         most = max(MOST_FLUCTUATION, PER_MACH_SQUARED * mach**2)

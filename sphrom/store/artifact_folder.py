@@ -118,11 +118,11 @@ class ArtifactFolder:
         self._require_parents(target)
         lacks, again = ("out of date", " --force") if target.path.exists() else ("missing", "")
         remedy = (
-            f"make it with `{target.made_by}{again}`, or all that is {lacks} with "
+            f"make it with `{target.made_by}{again}`, or everything that is {lacks} with "
             f"`sphrom run {self.context.words}{again}`"
         )
         if command := self._import_command(target):
-            remedy = f"no simulation replaces what was imported: import again with `{command}`"
+            remedy = f"a simulation can't replace an import: import again with `{command}`"
         raise ArtifactError(f"{target.path} {reason}; {remedy}")
 
     def _require_parents(self, target: Target) -> None:

@@ -181,7 +181,7 @@ class Checkpoints:
             step, time = (artifact.dataset(name)[last] for name in ("step", "time"))
             self._artifact.add_time(artifact.number("wall_seconds"))
             self._context.report.note(
-                f"{self._name}: goes on from its end at step {step}, t = {time:.6g} s"
+                f"{self._name}: continues from its end at step {step}, t = {time:.6g} s"
             )
             state = np.vstack((position.T, density, velocity.T))
             return RunState(int(step), state, None, artifact.number("timing/integration"))

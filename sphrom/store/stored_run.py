@@ -25,7 +25,7 @@ from sphrom.store.trajectory import snapshot_fields
 ON_WALL = 1e-6
 """Points closer to a wall than this share of the spacing are on it."""
 MISSED_INFLOW, WRONG_INFLOW = 0.02, 0.2
-"""Differences from the target inflow, relative, that are told, and that make a run fail."""
+"""Relative differences from the target inflow that cause a warning, and that make a run fail."""
 
 
 def probes_of(case: Case) -> Probes:
@@ -122,7 +122,7 @@ class Inflow:
 
     text: str
     miss: float
-    """The difference of the flow rates, over the root mean square of the target."""
+    """The difference of the flow rates, relative to the root mean square of the target."""
 
     @property
     def is_wrong(self) -> bool:

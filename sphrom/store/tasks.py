@@ -126,7 +126,7 @@ class Answer:
     files: Files = field(default_factory=dict)
     """The artifacts that it has made in a folder of its own."""
     lacks_files: bool = False
-    """Whether nothing was done, because the worker does not see the folder of the artifacts."""
+    """Whether the worker did nothing because it does not see the folder of the artifacts."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,8 +17,8 @@ Stage = Callable[[StageContext], None]
 class Variant:
     """A case made from that of a context, with artifacts of its own or in the same folder.
 
-    Its valid artifacts are kept. In a folder of its own others are made again without asking, with
-    --force all of them, and stopped runs continue.
+    Its valid artifacts are kept. In a folder of its own, invalid artifacts are made again without
+    --force, all of them with --force, and stopped runs continue.
     """
 
     origin: StageContext

@@ -290,7 +290,7 @@ def _contents(task: Task, needs: Needs) -> Files:
 
 
 def _result(future: Future[Answer], task: Task) -> Answer | None:
-    """Return the answer to an ended task; None if a process died, which ends all tasks."""
+    """Return the answer to an ended task; None if a process died, because that ends all tasks."""
     try:
         return future.result()
     except BrokenExecutor:

@@ -65,7 +65,7 @@ class ModelFiles:
     """The artifacts of one family of reduced models."""
 
     suffix: str
-    """Of the names of its kinds."""
+    """Prefix of the names of its kinds."""
     modes: str
     """The dataset of a basis with a row for each mode."""
     bases: tuple[str, ...]
@@ -73,7 +73,7 @@ class ModelFiles:
     parents: tuple[str, ...]
     """The artifacts from which its models are built."""
     of_bases: Mapping[str, str] = field(default_factory=dict)
-    """Statements in its bases; those with other ones are made again."""
+    """Statements in its bases; bases with other statements are made again."""
 
 
 MODEL_FILES: Mapping[str, ModelFiles] = {

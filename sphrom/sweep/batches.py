@@ -1,4 +1,4 @@
-"""The runs of a sweep, one model at one parameter point after the other, and their records.
+"""The runs of a sweep (one model at many parameter points), and their records.
 
 A run is bit for bit equal to the run of its model's stage. Full runs, and reduced runs on
 particles, write trajectories as in those stages; runs on the reference points write none. The
@@ -53,14 +53,14 @@ ERROR = "error_estimate/"
 OVER_TIME = f"{ERROR}velocity_over_time", f"{ERROR}pressure_over_time"
 """Names of the estimated errors of the fields."""
 INDICES = {"complete_run": "complete", "estimated_run": f"{ERROR}run"}
-"""The datasets with the indices of those runs that others have, by their first axis."""
+"""Datasets with the indices of the runs that have certain data, by the first axis of the data."""
 MEASURED_ERRORS = f"{ERROR}measured", f"{ERROR}change"
 OSCILLATION_ERRORS = f"{ERROR}oscillations"
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """One run of a sweep: its values, and the reason why it has none or is in doubt."""
+    """One run of a sweep: its values, and the reason why it has none or is doubtful."""
 
     point: ParameterPoint
     status: int

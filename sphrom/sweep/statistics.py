@@ -375,7 +375,7 @@ def show(report: Reporter, result: Statistics) -> None:
         shown = [format_figure(float(cell)) for cell in cells]
         rows.append((f"{name.replace('_', ' ')} [{output.unit}]", *shown))
     report.table(
-        f"statistics of {result.n_runs} runs at the final time; of profiles, in the middle",
+        f"statistics of {result.n_runs} runs at the final time; profiles at mid-line",
         ("output", "mean", "deviation", *levels, f"{levels[middle]} within +-"),
         rows,
     )
@@ -385,7 +385,7 @@ def show(report: Reporter, result: Statistics) -> None:
             "trained range"
         )
     if result.method == SALTELLI and not result.indices:
-        report.warn("statistics: no Sobol indices, because a run of their design has no result")
+        report.warn("statistics: no Sobol indices, because a run that they need has no result")
     shares = {}
     for name, output in result.outputs.items():
         if (share := output.error_share) is not None:
@@ -396,8 +396,11 @@ def show(report: Reporter, result: Statistics) -> None:
         means = [f"{name}_mean" for name in noisy if shares.get(f"{name}_mean", 1.0) <= NOISY]
         less = f"; it is below {100.0 * NOISY:.0f} % for {', '.join(means)}" if means else ""
         report.warn(
-            f"full runs may have other quantiles and Sobol indices of {names}: the percentage is "
+            f"full runs may give other quantiles and Sobol indices of {names}: the percentage is "
             f"the share of the model's estimated error in the variance{less}"
         )
     if unknown := ", ".join(k for k, v in result.outputs.items() if v.model_error == "unknown"):
-        report.warn(f"intervals of {unknown} include sampling only, without an error estimate")
+        report.warn(
+            f"intervals of {unknown} include the sampling error only, because there is no error "
+            "estimate"
+        )

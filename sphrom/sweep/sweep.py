@@ -65,7 +65,7 @@ from sphrom.text import counted, duration
 BATCHES_EACH = 4
 """Approximate number of tasks per worker, so that all end at a similar time."""
 MOST_SHOWN = 10
-"""Most failed runs that are shown one by one."""
+"""Largest number of failed runs that are shown one by one."""
 FIGURES = {
     "time_step": "s",
     "kinetic_energy": "J/m",
@@ -79,7 +79,7 @@ points and snapshots, root mean squares of estimated errors over those of the fi
 SHOWN = ("_mean", "_frequency", "_amplitude")
 """Suffixes of the names of measured figures that are shown."""
 BEYOND = {None: "", 0: "no", 1: "yes"}
-"""The words for runs outside of the trained range, unknown without an estimate."""
+"""Table entries that say whether a run is outside of the trained range; None means unknown."""
 Cells = dict[str, str | float | None]
 """The row of a run in the table, by column; None without a result or an estimate."""
 
@@ -271,7 +271,7 @@ class Results:
         if doubtful := [run for run in records if run.status == COMPLETE and run.reason]:
             first = doubtful[0]
             report.warn(
-                f"{len(doubtful)} of {len(records)} runs are in doubt, such as "
+                f"{len(doubtful)} of {len(records)} runs are doubtful, such as "
                 f"{first.point.label}: {first.reason}"
             )
         if times := case.plan.times_in_words:
@@ -403,9 +403,12 @@ def _missing(case: Case, rows: Sequence[Cells], records: Sequence[RunRecord]) ->
     for name in case.scene.measured_fields if case.plan.with_weight else ():
         path = f"measure/{name}/pressure"
         if dry := sum(bool((r.values.get(path, np.ones(1)) == 0.0).any()) for r in records):
-            yield f"{name}: {DRY} in {dry} of {len(complete)} runs; zeros count in its statistics"
+            yield (
+                f"{name}: {DRY} in {dry} of {len(complete)} runs; its statistics include these "
+                "zeros"
+            )
     if none := [n for n in case.scene.columns if complete and complete[0][f"{n}_mean"] is None]:
-        yield f"runs end before the times from which statistics of {', '.join(none)} count"
+        yield f"runs end before the from_time of {', '.join(none)}"
 
 
 def _summary(

@@ -71,7 +71,7 @@ FACTORS: dict[str, tuple[float, ...]] = {
     TIME: (1.0, 2.0, 5.0, 10.0, 20.0),
     REYNOLDS: (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
 }
-"""Values over the automatic step and memory length, over the trained time, and over the trained
+"""Values relative to the automatic step and memory length, the trained time, and the trained
 parameter values: factors up to 1 apply to the least, factors from 1 to the greatest."""
 QUICK: dict[str, tuple[float, ...]] = {
     STEP: (0.5, 1.0, 4.0, 40.0),
@@ -107,7 +107,7 @@ class Trial:
     step_factor: float = 1.0
     """Time steps over automatic ones."""
     until: float = 1.0
-    """Final time over that of training runs."""
+    """Final time relative to that of training runs."""
 
     def row(self, kind: Kind, **described: Any) -> ExtremeRun:
         """Return the row of a run."""

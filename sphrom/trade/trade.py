@@ -57,11 +57,11 @@ if TYPE_CHECKING:
 Rows = tuple[weighing.ModelRow, list[weighing.RunRow]]
 
 MARGIN = 0.2
-"""Margin around points for their names, over the axes."""
+"""Margin around points for their names, relative to the axes."""
 APART = (0.2, 0.05)
-"""Least distance between the names of points, horizontal or vertical, over the axes."""
+"""Least distance between the names of points, horizontal or vertical, relative to the axes."""
 RIGHT = 0.7
-"""Place over the axes from which on names are on the left of their points."""
+"""Place relative to the axes beyond which names are on the left of their points."""
 ON_FRONT = "*"
 """Mark of an error that no model reaches in less time."""
 HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even", "no better than")
@@ -299,7 +299,7 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
         save(draw_trade(results), folder / "trade.png")
     report.table(
         f"speed against accuracy: {measure.words} in %, overall / at the worst time, pressure "
-        f"without its mean{'; in brackets the estimated error' if measure.measured else ''}; "
+        f"minus its mean{'; in brackets the estimated error' if measure.measured else ''}; "
         f"{ON_FRONT} marks the Pareto front of seconds and this error; `no better than` names an "
         f"alternative that is as fast and as accurate; dt is the case's time step; {seconds}",
         (
@@ -317,7 +317,7 @@ def publish(workspace: Workspace, results: Results, tolerance: weighing.Toleranc
     errors = [row.errors for row in rows] + [alternative.errors for alternative in without]
     oscillates = measure.quantities == weighing.OSCILLATION
     if oscillates and None in [measure.of(found, "frequency") for found in errors]:
-        report.info(f"there are no errors where a run is unstable or has {NO_OSCILLATION}")
+        report.info(f"errors are missing where a run is unstable or has {NO_OSCILLATION}")
     report.prose(words)
     report.info(f"tables, trade.json and trade.png are in {folder}")
 

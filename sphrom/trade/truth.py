@@ -25,7 +25,7 @@ from sphrom.trade.candidates import extreme, make_runs, of_full_model, variant_o
 from sphrom.trade.stability import Errors, ExtremeRun
 
 SPARSER = 10
-"""A longer full run keeps at most one in so many snapshots, and at least so many per part."""
+"""A longer full run keeps one in at most so many snapshots, and at least so many per part."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def compared(
 
 
 def _errors_of(run: Samples, full: Samples) -> Errors:
-    """Return the relative L2 errors [%] of the velocity, and of the pressure less its mean."""
+    """Return the relative L2 errors [%] of the velocity, and of the pressure minus its mean."""
     pressures = (without_mean(samples.pressure)[..., None] for samples in (run, full))
     velocity = float(relative_l2(run.velocity, full.velocity, field_axes=3))
     return velocity, float(relative_l2(*pressures, field_axes=3))

@@ -68,7 +68,7 @@ class RunRow:
     model: str
     parameters: str
     role: str
-    """`trained` at a value that a basis learnt from, `predicted` between, else `extrapolated`."""
+    """`trained` at training values of its basis, `predicted` between them, else `extrapolated`."""
     status: str
     time_step: float = field(metadata=SECONDS)
     seconds: float | None = field(metadata=SECONDS)
@@ -363,18 +363,20 @@ def recommend(
     else:
         faster = [row for row in rows[1:] if row.beaten_by is None]
         least = [_best(faster, q, measure) for q in measure.quantities]
-        text += "there is only the case's own full run; "
+        text += "only the case's own full run is within it; "
         if any(least):
-            text += f"the least error of faster ones is in {' and in '.join(filter(None, least))}"
+            text += (
+                f"the smallest error of a faster run is in {' and in '.join(filter(None, least))}"
+            )
         else:
-            text += "each other one is unstable, or no more accurate than one that is as fast"
+            text += "every other run is unstable, or no more accurate than one that is as fast"
     if enough:
         text += f"; without a model, {enough[0]} is within the tolerance, too"
     return advice, text
 
 
 def _cheapest(rows: Sequence[ModelRow], used: Mapping[str, float]) -> ModelRow | None:
-    """Return the first to pay off of the fastest models that no alternative beats, or None."""
+    """Of the fastest models that no alternative beats, return the first to pay off, or None."""
     timed = [(s, r) for r in rows if r.beaten_by is None and (s := r.online_seconds) is not None]
     most = (1.0 + SCATTER) * min((seconds for seconds, _ in timed), default=0.0)
     alike = (row for seconds, row in timed if seconds <= most)

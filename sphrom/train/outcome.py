@@ -63,7 +63,7 @@ class Stage:
     earlier: tuple[HeldOut, ...]
     """Runs that earlier stages chose."""
     fields: tuple[int, ...]
-    """The indices of those of LIMITED that count."""
+    """The indices in LIMITED of the quantities that the tolerance limits."""
     held_out: tuple[HeldOut, ...] = ()
     """Runs that this stage chose."""
 
@@ -119,12 +119,12 @@ class Outcome:
 
     @property
     def quantity(self) -> str:
-        """The names of the fields that count."""
+        """The names of the quantities that the tolerance limits."""
         return " and ".join(LIMITED[k] for k in self.section.fields)
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """Those of LIMITED with columns in the table."""
+        """The quantities of LIMITED that have columns in the table."""
         return tuple(dict.fromkeys((*QUANTITIES, *(LIMITED[k] for k in self.section.fields))))
 
     @property

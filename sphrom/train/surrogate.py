@@ -4,7 +4,7 @@ Full runs and maps belong to the case and are kept. Bases, splines and operators
 each set of training points, in a folder of their own, at a small part of the cost of a full run.
 
 Errors are root mean squares over the reference points and the compared times, over those of the
-field [%], for the velocity and for the pressure less its mean. The third error is the largest of
+field [%], for the velocity and for the pressure minus its mean. The third error is the largest of
 the frequencies and amplitudes of measured oscillations, over their values [%].
 """
 
@@ -49,7 +49,7 @@ def part(n_points: int) -> str:
 
 
 class Surrogate:
-    """A model that is trained on full runs, and on more of them where it is asked to."""
+    """A model that is trained on full runs, and on further ones on request."""
 
     def __init__(
         self,

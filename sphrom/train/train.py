@@ -80,8 +80,8 @@ def run(
     if failed := [run for stage in stages for run in stage.held_out if run.failure]:
         labels = ", ".join(run.point.label for run in failed)
         raise UnstableError(
-            f"{len(failed)} of the chosen full runs became unstable and were left out: {labels}; "
-            "near them the tolerance is not ensured"
+            f"{len(failed)} of the chosen full runs became unstable and were left out: "
+            f"{labels}; near them the model may miss the tolerance"
         )
 
 
@@ -162,6 +162,6 @@ def _check_starts(
     bases = {case.plan.basis_for(model, point) for point in candidates}
     if not all(map(case.plan.has_error_estimate, bases)):
         raise CaseError(
-            "operators.error_estimate: auto makes no error estimates for so many modes, "
-            "and training needs them; set it to true"
+            "operators.error_estimate: auto makes no error estimates for so many modes, but "
+            "training needs them; set it to true"
         )

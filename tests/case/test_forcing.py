@@ -187,7 +187,7 @@ def test_a_thin_porous_body_is_told_and_its_resistance_limits_the_step() -> None
                 "a": {"circle": {"centre": [0.6, 0.5], "radius": 0.2}},
                 "b": {"circle": {"centre": [1.01, 0.5], "radius": 0.2}},
             },
-            r"at \(0\.805, 0\.5\) m, between a and b: let them overlap, join them to one solid",
+            r"at \(0\.805, 0\.5\) m, between a and b: let them overlap, join them into one solid",
         ),
     ],
 )

@@ -70,7 +70,7 @@ def test_a_box_that_particles_do_not_fill_is_refused(tmp_path: Path) -> None:
     fields = np.column_stack((POSITION, VELOCITY))[filled].T
     rho = np.full(int(filled.sum()), 1001.0)
     source = written(tmp_path / "a.npz", **dict(zip("xyzuvw", fields, strict=True)), rho=rho)
-    with pytest.raises(CaseError, match=r"the box have no particles.*free surfaces, solids"):
+    with pytest.raises(CaseError, match=r"the box has no particles.*free surfaces, solids"):
         Converter(case_of(len(rho)), ImportOptions(), source)(source)
 
 

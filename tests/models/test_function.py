@@ -82,10 +82,15 @@ def test_outputs_have_estimated_errors(study: sphrom.Study) -> None:
     ("inputs", "outputs", "time", "text"),
     [
         (["speed"], ["drag_force_x"], None, "'speed': does not vary in the case"),
-        (["lid", "lid"], ["drag_force_x"], None, "inputs: needs at least one name, none twice"),
+        (
+            ["lid", "lid"],
+            ["drag_force_x"],
+            None,
+            "inputs: needs at least one name, and each only once",
+        ),
         (["lid"], [], None, "outputs: needs at least one name"),
         (["lid"], ["drag_force"], None, "did you mean drag_force_"),
-        (["lid"], ["middle_velocity_x"], None, "is no output"),
+        (["lid"], ["middle_velocity_x"], None, "is not an output"),
         (["lid"], ["drag_force_x"], 0.7, "time: must be in the runs, from 0 to 0.6 s; got 0.7"),
     ],
 )

@@ -60,7 +60,7 @@ def test_steps_are_automatic_given_or_the_full_model_s() -> None:
 
 
 def test_more_steps_than_a_run_can_take_are_refused() -> None:
-    with pytest.raises(CaseError, match=r"x is stable with steps of 2\.79e-15 s only, more"):
+    with pytest.raises(CaseError, match=r"x is stable only with steps below 2\.79e-15 s, more"):
         steps(growing(-1e15))
 
 

@@ -113,7 +113,7 @@ def test_each_prediction_comes_with_its_estimate(made) -> None:
     """Where there is no full run as well."""
     folder = made(LID)
     told = (folder.parents[1] / "stdout.txt").read_text()
-    assert "effectivity is estimate over error" in told
+    assert "effectivity is the ratio of estimate to error" in told
     for run in ("fast, reynolds=125", "small, reynolds=150", "apg, reynolds=150"):
         (line,) = re.findall(rf"^{run}: estimated errors: (.*)$", told, re.MULTILINE)
         assert re.match(r"velocity \S+ % .* factor of \S+ in training\), pressure \S+ % ", line)

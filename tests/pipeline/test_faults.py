@@ -15,8 +15,8 @@ NOBODY = 65534
 def missing(command):
     """Return what is said of a missing artifact: how to make it, and all others that are."""
     return (
-        f"is missing; make it with `sphrom {command} tiny.yaml`, or all that is missing with "
-        "`sphrom run tiny.yaml`"
+        f"is missing; make it with `sphrom {command} tiny.yaml`, or everything that is missing "
+        "with `sphrom run tiny.yaml`"
     )
 
 
@@ -52,7 +52,10 @@ def test_an_input_is_missing_or_damaged(place, refused, stage, results, name, co
         assert line == f"error: {place}/{name} {missing(command)}"
     else:
         assert line.startswith(f"error: {place}/{name} is ")
-        assert f"; make it with `sphrom {command} tiny.yaml --force`, or all that is out" in line
+        assert (
+            f"; make it with `sphrom {command} tiny.yaml --force`, or everything that is out"
+            in line
+        )
     assert sorted(place.iterdir()) == before
 
 

@@ -82,7 +82,7 @@ def test_a_comparison_counts_after_the_start_and_by_component(made: Path) -> Non
     answer = (made / "answer.txt").read_text()
     assert "Means and errors of measurements count from 0.5005 s on (drag, wake)." in answer
     assert "The measured force (drag) differs over time, as a vector by" in answer
-    assert "The oscillation (beat) has no figures: fewer than three periods of an" in answer
+    assert "The oscillation (beat) can't be compared: fewer than three periods of an" in answer
 
 
 def test_a_sweep_counts_after_the_start(made: Path, study: package.Study, sphrom) -> None:

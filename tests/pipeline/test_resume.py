@@ -319,7 +319,7 @@ def test_a_finished_run_goes_on_to_the_bits_of_a_longer_one(
     assert "ends at 0.08 s: `--resume` continues it, `--force` makes it anew" in unasked
     result = again("full", *options, "--resume", code=0).stdout
     if not stops:
-        assert f"{FULL}: goes on from its end at step {at_end}, t = 0.08 s" in result
+        assert f"{FULL}: continues from its end at step {at_end}, t = 0.08 s" in result
     assert digests(place)[FULL] == anew[FULL]
     assert leftovers(place) == []
 

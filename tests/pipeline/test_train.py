@@ -151,7 +151,7 @@ def test_several_runs_at_once_are_apart_and_points_that_are_there_count(case, sp
 
 @pytest.mark.parametrize(
     ("low", "high", "words"),
-    [(80.0, 250.0, "the tolerance is not ensured"), (0.0, 1e9, "a corner of the region")],
+    [(80.0, 250.0, "the model may miss the tolerance"), (0.0, 1e9, "a corner of the region")],
 )
 def test_a_full_run_that_becomes_unstable_is_left_out(case, train, monkeypatch, low, high, words):
     """But a corner of the region it has to be stable."""

@@ -217,7 +217,7 @@ def test_draws_outside_of_training_are_counted_and_told(swept, told):
     assert 3 <= found.n_extrapolated <= 12
     said = f"{found.n_extrapolated} of 40 draws are outside of the trained range"
     assert any(said in text for text in told)
-    (named,) = (text for text in told if "full runs may have other quantiles" in text)
+    (named,) = (text for text in told if "full runs may give other quantiles" in text)
     assert "middle_final_pressure (" in named
     assert "load_force_x (" not in named
     assert not found.indices

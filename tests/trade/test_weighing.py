@@ -103,7 +103,7 @@ def test_a_model_that_is_worse_than_a_training_run_is_not_recommended():
     assert (advice["model"], advice["without_a_model"]) == ("good", None)
     _, _, said = advised(rows, without, 0.5, 0.5)
     assert said.endswith(
-        "faster ones is in velocity that of good, 1.00 % and in pressure that of good, 2.00 %"
+        "faster run is in velocity that of good, 1.00 % and in pressure that of good, 2.00 %"
     )
     for others in ([rows[1]], [model("unstable", None, NO_ERRORS)]):
         _, advice, said = advised([rows[0], *others], without, 0.5, 0.5)
@@ -151,7 +151,7 @@ WEIGHED = [
 def test_the_cheapest_within_a_tolerance(tolerance, name):
     _, advice, said = advised(WEIGHED, [], *tolerance)
     assert advice["model"] == name
-    assert ("least error of faster ones is in velocity that of slower" in said) == (name is None)
+    assert ("error of a faster run is in velocity that of slower" in said) == (name is None)
 
 
 @pytest.mark.parametrize(

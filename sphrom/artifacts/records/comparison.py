@@ -8,7 +8,7 @@ from sphrom.arrays import Array
 from sphrom.declaration import Record, attribute, dataset, part
 
 _PLACES = {"line": "on the line", "field": "over the whole field"}
-_NORMS = {"velocity": "velocity", "pressure": "pressure less its mean there"}
+_NORMS = {"velocity": "velocity", "pressure": "pressure minus its mean there"}
 _VALUES = {"velocity": "speed", "pressure": "pressure"}
 _RANGES = {"line": "on the line", "field": "of the whole field"}
 
@@ -54,8 +54,8 @@ class Samples(Record):
 
     position: Array = dataset("point component", "m", "the places", "x")
     time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
-    velocity: Array = dataset("snapshot point component", "m/s", "velocity there", "u")
-    pressure: Array = dataset("snapshot point", "Pa", "pressure there", "p")
+    velocity: Array = dataset("snapshot point component", "m/s", "velocity at the point", "u")
+    pressure: Array = dataset("snapshot point", "Pa", "pressure at the point", "p")
 
 
 class Ranges(Record):
@@ -72,9 +72,11 @@ class ReferenceProfile(Record):
     """A published or independent profile, and that of a full run."""
 
     coordinate: Array = dataset(
-        "point", "1", "coordinate along a reference's profile, over the reference length"
+        "point", "1", "coordinate along a reference's profile, divided by the reference length"
     )
-    reference_value: Array = dataset("point", "1", "the reference there, over U, or rho U^2")
+    reference_value: Array = dataset(
+        "point", "1", "value of the reference at the point, divided by U or rho U^2"
+    )
     value: Array = dataset("point", "1", "the full run there, averaged over a window of time")
     scatter: Array = dataset(
         "point", "1", "standard deviation of its snapshots there in the window"

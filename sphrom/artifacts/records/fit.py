@@ -71,6 +71,6 @@ class Fit(Record, kind="sphrom/fit"):
     expected_chi_square: float = attribute(
         "1", "bound of chi^2 from noise, with a probability of 99.9 %, and the model's errors"
     )
-    degrees_of_freedom: int = attribute("", "number of values less that of estimated parameters")
+    degrees_of_freedom: int = attribute("", "number of values minus that of estimated parameters")
     starts_led_here: int = attribute("", "number of starts of the search that led to this fit")
     starts: int = attribute("", "number of starts of the search")

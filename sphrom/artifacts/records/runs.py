@@ -19,12 +19,12 @@ from sphrom.metrics.quantities import (
 from sphrom.reduction.stream_functions import StreamSpace
 
 TIME = Labels("s", "time of each snapshot", "t", "Eq. 2.18")
-DENSITY = Labels("kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6")
+DENSITY = Labels("kg/m3", "density minus its reference value", "rho - rho_0", "Eq. 2.6")
 VELOCITY = Labels("m/s", "velocity", "u", "Eq. 2.7")
 PRESSURE = Labels("Pa", "pressure", "p", "Eq. 2.8")
 REFERENCE_POSITION = Labels("m", "points of the reference space", "x_G", "Eq. 3.14")
 VELOCITY_ERROR = Labels("m/s", "estimated root mean square error of the velocity")
-PRESSURE_ERROR = Labels("Pa", "estimated root mean square error of the pressure less its mean")
+PRESSURE_ERROR = Labels("Pa", "estimated root mean square error of the pressure minus its mean")
 _ABOUT = "about a solid's centroid, or about the box's centre on a side of it"
 
 Status = Literal["complete", "unstable"]
@@ -133,7 +133,7 @@ class Simulated(Settings, Ended):
     """The settings and the end of a run with density and velocity."""
 
     unphysical: str | None = attribute(
-        "", "effects without a cause in a full run, one per line", default=None
+        "", "signs that a full run is unphysical, one per line", default=None
     )
     memory_length: float | None = attribute("s", "tau of Eq. 3.22, of a reduced run", default=None)
 
@@ -260,7 +260,7 @@ class TrajectoryPart(Recorded, Snapshots, kind="sphrom/trajectory-part"):
 
 
 Converged = Literal["converged", "not converged"]
-_CONSTANT = "error in training over the residual's integral with decay"
+_CONSTANT = "training error divided by the residual's integral with decay"
 _FACTOR = (
     "factor, either way, between 95 % of the training errors and their estimates from the other "
     "training runs; absent outside of training"
@@ -309,7 +309,7 @@ class SurfaceErrorEstimate(Record):
 
 
 class ErrorEstimate(SurfaceErrorEstimate):
-    """The same with a residual, and changes since training."""
+    """The estimated errors of a run, with a residual and changes since training."""
 
     change: Array = dataset(
         "snapshot cause",
@@ -331,7 +331,8 @@ class Steady(Record):
     coordinates: Array = dataset(
         "mode",
         "of the inner product",
-        "zero of the rates, or the closest state that was found, from the end of the run",
+        "state with zero rates, or the closest one that was found, by a search from the end "
+        "of the run",
         "omega-hat",
         "Eq. 3.11",
     )
@@ -339,12 +340,13 @@ class Steady(Record):
     residual: float = attribute("of the modes, /s", "norm of its rates")
     training_distance: float | None = attribute(
         "1",
-        "distance from the nearest of some training states, over the norm of the steady state",
+        "distance from the nearest of some training states, divided by the norm of the "
+        "steady state",
         default=None,
     )
     residual_left_out: float | None = attribute(
         "of the inner product, /s",
-        "norm of the residual of the full rates there",
+        "norm of the residual of the full rates in the steady state",
         default=None,
     )
     velocity_error_estimate: float | None = attribute(
@@ -354,7 +356,9 @@ class Steady(Record):
         "Pa", "estimated root mean square error of the pressure", default=None
     )
     n_steps: int = attribute("", "steps of Newton's method")
-    largest_real_part: float = attribute("1/s", "largest real part of the spectrum there")
+    largest_real_part: float = attribute(
+        "1/s", "largest real part of the spectrum in the steady state"
+    )
     measure: Mapping[str, MeasuredOnce] = part(default_factory=dict)
 
 
@@ -420,7 +424,9 @@ class SurfaceSnapshots(Timed, AtPoint, kind="sphrom/surface-snapshots"):
         "snapshot column", "m", "height y of the surface at the midpoints of equal columns", "eta"
     )
     residual: Array = dataset(
-        "snapshot", "1", "norm of the velocity that the fit leaves out, over that of the particles"
+        "snapshot",
+        "1",
+        "norm of the velocity that the fit leaves out, divided by that of the particles",
     )
     speed: Array = dataset("snapshot", "m/s", "root mean square velocity of the particles")
 

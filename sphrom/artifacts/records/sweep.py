@@ -25,7 +25,7 @@ class Estimates(Record):
     pressure: Array = dataset(
         "estimated_run",
         "%",
-        "estimated error of the pressure less its mean, over its root mean square over the run",
+        "estimated error of the pressure minus its mean, over its root mean square over the run",
     )
     extrapolated: Indices = dataset(
         "estimated_run",
@@ -41,7 +41,7 @@ class Estimates(Record):
     change: Array | None = dataset(
         "estimated_run column",
         "of the columns",
-        "root mean squares of the changes over time, zero for only noise",
+        "root mean squares of the changes over time; zero if they are only noise",
         default=None,
     )
     oscillations: Array | None = dataset(
@@ -135,5 +135,5 @@ class Sweep(Record, kind="sphrom/sweep"):
         "", "names of the derivatives, separated by commas", default=None
     )
     failures: Mapping[str, str] = attribute(
-        "", "reason why a run, by its number, is not complete or in doubt", default_factory=dict
+        "", "reason why a run, given by its number, is incomplete or doubtful", default_factory=dict
     )

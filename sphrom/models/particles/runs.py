@@ -23,7 +23,8 @@ from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
 
 LONGEST_STEP = 4.0
-"""Largest accurate step of models on particles over the full model's (`docs/stability.md`)."""
+"""Largest accurate step of models on particles relative to the full model's
+(`docs/stability.md`)."""
 
 
 def build_model(

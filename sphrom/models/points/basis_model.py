@@ -1,6 +1,5 @@
-"""A model from operators with one basis: its equations and starts at any parameter point.
-
-All that training runs determine is in its record (`sphrom.reduction.trained_basis`).
+"""A model from operators with one basis: its equations and starts at any parameter point. Its
+record (`sphrom.reduction.trained_basis`) has everything that training runs determine.
 """
 
 from __future__ import annotations
@@ -163,7 +162,7 @@ class BasisModel:
     def uncorrected(
         self, point: ParameterPoint, known: Mapping[str, Rates] | None = None
     ) -> ReferenceModel:
-        """Return the same without corrections and forces; `known` has its rates, if available."""
+        """Return the model without corrections and forces; `known` has its rates, if available."""
         if self.problem is not None:
             raise self.problem
         model = self.projected(point, known=known)
@@ -209,7 +208,7 @@ class BasisModel:
     def equations(
         self, modes: str, point: ParameterPoint, in_training: bool, known: Rates | None = None
     ) -> ReferenceModel:
-        """Return the same without states and linear parts, which only steps need."""
+        """Return the equations without states and linear parts, which only steps need."""
         case = self.workspace.case
         rates = self.trained.rates[modes]
         viscosity = case.plan.kinematic_viscosity(point)
@@ -332,7 +331,7 @@ class BasisModel:
 
     @cached_property
     def missed(self) -> dict[str, Quantities]:
-        """What the basis misses of measurements, over its field's error (...) [m/s, Pa].
+        """The part of measurements that the basis misses, relative to its field's error (...).
 
         Operators that were stored before have no shares; nothing is missed then.
         """
@@ -399,7 +398,7 @@ class BasisModel:
 
 
 def _learnt(correction: Correction | None, place: Array, held_out: bool) -> Array | None:
-    """Return a correction at a place; for a training run, from the other runs only."""
+    """Return a correction at a place; at a training point it comes from the other runs only."""
     if correction is None:
         return None
     return correction.held_out(place) if held_out else correction.at(place)
@@ -420,7 +419,7 @@ def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: 
         return reference_model.runge_kutta(reduced, n_steps)
     if reduced.first_step is None and output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
-            f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, more "
+            f"rom: {section.name} is stable only with steps below {reduced.step_limit:.3g} s, more "
             f"than {MAX_STEPS:g} in a run; choose fewer modes, a memory_length or a time_step"
         )
     return reference_model.automatic_whole(reduced)

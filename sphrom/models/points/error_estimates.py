@@ -37,7 +37,7 @@ class SteadyErrors:
     errors: Array
     """(2,) root mean square errors of the velocity [m/s] and the pressure [Pa]."""
     relative: Array
-    """(2,) the same, over the root mean squares of the fields."""
+    """(2,) errors of velocity and pressure, relative to the root mean squares of the fields."""
     distance: float
     """Distance from the nearest state between training runs, as `distance_from` measures it."""
 
@@ -157,7 +157,7 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
 
 
 def distance_from(states: Array, state: Array) -> float:
-    """Return the distance of a state (n_modes,) from the nearest of `states`, over its norm."""
+    """Return the relative distance of a state (n_modes,) from the nearest of `states`."""
     nearest = float(np.linalg.norm(states - state, axis=1).min())
     size = float(np.linalg.norm(state))
     return nearest / size if size > 0.0 else float(nearest > 0.0)

@@ -110,7 +110,7 @@ class FastModel(Model[ReferenceModel]):
         return BasisModel(self.workspace, section, name, trained, basis, start, alone)
 
     def at_point(self, point: ParameterPoint) -> BasisModel:
-        """Return the model with its basis at a parameter point."""
+        """Return the model with the basis that it uses at a parameter point."""
         return self.on_basis(self.basis_at(point))
 
     @cached_property
@@ -296,10 +296,13 @@ class FastRun(ModelRun):
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
-        """Why a completed run may be wrong, as far as is known without a full run."""
+        """Reasons why a completed run may be wrong, as far as known without a full run."""
         errors = self.estimate
         if errors is None and self.model.at_point(self.point).errors is not None:
-            text = "no estimate of errors: the training runs have none, or all of them diverge"
+            text = (
+                "no estimate of errors: the model's training runs have no error estimates, or "
+                "all of them diverge"
+            )
             return (*self.outside, text)
         if errors is None or max(errors.velocity_percent, errors.pressure_percent) < DOUBTFUL:
             return self.outside

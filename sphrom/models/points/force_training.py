@@ -1,4 +1,4 @@
-"""Forces on walls of a model in training: their pressure, chosen, and their corrections.
+"""The training of a model's forces on walls: the choice of their pressure, and corrections.
 
 The pressure part of a load follows from the balance of momentum or the joint pressure
 (`sphrom.reduction.reduced_measures`). If the model has pressure modes of its own, the sum over the
@@ -28,9 +28,9 @@ from sphrom.reduction.trained_basis import TrainedBasis, TrainedForce
 from sphrom.setup.assembly import sound_averages
 
 CLEARLY = 0.7
-"""Largest error with own pressure modes, over that without, for which they are used. A few runs do
-not tell smaller differences from noise: on a turning disc, 0.9 in held-out runs was 1.4 to 2.9 in
-other runs. In a channel with a wavy floor it is 0.1 to 0.2 for the torque."""
+"""Largest error with own pressure modes, relative to that without, for which they are used. A few
+runs do not tell smaller differences from noise: on a turning disc, 0.9 in held-out runs was 1.4 to
+2.9 in other runs. In a channel with a wavy floor it is 0.1 to 0.2 for the torque."""
 
 
 @dataclass(frozen=True)

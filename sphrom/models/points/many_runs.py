@@ -24,7 +24,7 @@ from sphrom.reduction.reduced_operators import Polynomial
 from sphrom.reduction.reference_model import ReferenceModel
 
 MOST = 64
-"""Most runs at once; their arrays have to fit into the processor's cache."""
+"""Largest number of runs at once; their arrays have to fit into the processor's cache."""
 
 
 @dataclass(frozen=True, kw_only=True)

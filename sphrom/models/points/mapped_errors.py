@@ -65,7 +65,8 @@ def compared(
 
 
 Fields = tuple[Array, Array]
-"""Velocities (n_snapshots, n_points, 2), and densities (n_snapshots, n_points) less their means."""
+"""Velocities (n_snapshots, n_points, 2), and densities (n_snapshots, n_points) minus their
+means."""
 
 
 def _fields(basis: TrialBasis, density: Array, velocity: Array) -> Fields:

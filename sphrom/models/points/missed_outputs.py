@@ -1,4 +1,4 @@
-"""What bases miss of measurements, from recorded training runs that are left out of them."""
+"""The parts of measurements that bases miss, from training runs that are left out of them."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def output_shares(
 def _direct_loads(
     case: Case, trained: Sequence[ParameterPoint], force: WallForce, means: Array, driven: bool
 ) -> Array:
-    """Return recorded loads (n_snapshots, 3) at one viscosity, less the part without a flow.
+    """Return recorded loads (n_snapshots, 3) at one viscosity, minus the part without a flow.
 
     They are zero if they follow from the balance of momentum, which weights errors over the whole
     fluid: errors at the wall then do not count.

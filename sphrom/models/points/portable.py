@@ -33,7 +33,7 @@ from sphrom.setup.assembly import amplitude_of, field_measures
 from sphrom.sph.fluid import Factors
 
 MISFIT = 1e-12
-"""Largest difference of exported arrays from the model's, over their largest values."""
+"""Largest difference of exported arrays from the model's, relative to their largest values."""
 N_COMPARED = 8
 """Random points in the trained ranges at which arrays are compared."""
 N_SCANNED = 32
@@ -132,7 +132,7 @@ def sampled(ranges: Ranges, n: int) -> list[dict[str, float]]:
 
 
 def misfit(found: Array, known: Array) -> float:
-    """Return the largest difference of two arrays, over the largest value of the second."""
+    """Return the largest difference of two arrays, relative to the largest value of the second."""
     size = float(np.abs(known).max(initial=0.0)) or 1.0
     return float(np.abs(found - known).max(initial=0.0)) / size
 

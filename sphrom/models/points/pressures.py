@@ -36,8 +36,7 @@ def pressure_space(
 ) -> tuple[PressureSpace, Array] | None:
     """Return the space of training pressures, and all its modes q (n_pressure_modes, n_points).
 
-    None with a single training run, which leaves none to choose a pressure by, and in the paper's
-    inner product.
+    None with a single training run, because none can be held out, and with the raw inner product.
 
     Parameters
     ----------
@@ -50,7 +49,7 @@ def pressure_space(
     weights = basis.weights
 
     def pressure_of(densities: Array) -> Array:
-        """Return the pressure less its mean, q (n_snapshots, n_points) [m/s]."""
+        """Return the pressure minus its mean, q (n_snapshots, n_points) [m/s]."""
         means = weighted_mean(densities, weights)
         return points.density_scale * (densities - means[:, None])
 

@@ -46,7 +46,7 @@ from sphrom.store.trajectory import field_datasets, force_datasets, write_positi
 from sphrom.store.workspace import Workspace
 
 FAR = 0.05
-"""Distance from the nearest training state, over the state's norm, that causes a warning."""
+"""Distance from the nearest training state, relative to the state's norm, that causes a warning."""
 
 
 def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:

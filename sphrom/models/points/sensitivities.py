@@ -53,7 +53,7 @@ class Tangents:
     kinetic_energy: Array
     """(n_parameters, n_snapshots) [J/m]."""
     measured: Mapping[str, Quantities]
-    """By measurement and quantity (n_parameters, n_snapshots, ...)."""
+    """Derivatives (n_parameters, n_snapshots, ...) by measurement and quantity."""
     _sample: Callable[[Array], Samples]
     """Samples the derivatives of velocity and pressure at points (n_points, 2) [m]."""
 

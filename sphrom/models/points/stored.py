@@ -34,7 +34,7 @@ from sphrom.store.trajectory import totals
 from sphrom.store.workspace import Workspace
 
 STEADY_SHARE = 0.3
-"""Fluctuations of a steady run over the largest ones of training runs; the rest is noise."""
+"""Fluctuations of a steady run relative to the largest ones of training runs; the rest is noise."""
 N_BLOCK_SNAPSHOTS = 16
 """Number of snapshots that are projected at once."""
 
@@ -49,7 +49,7 @@ def stored_model(workspace: Workspace, model: ReducedModelSection) -> TrainedMod
 
 
 def stored_starts(workspace: Workspace) -> Starts | None:
-    """Return the starts that the artifact of operators has, if any."""
+    """Return the starts in the artifact of operators, if it has any."""
     with workspace.open(workspace.operators()) as artifact:
         if "starts/parameters" in artifact:
             return read_record(artifact, Starts, "starts")
@@ -105,7 +105,9 @@ def cycle_closure(
         except ValueError as error:
             remedy = "see time.spin_up and time.final_time"
             if share < STEADY_SHARE:
-                remedy = f"it is steady, with {100.0 * share:.0f} % of the fluctuations of others"
+                remedy = (
+                    f"it is steady: its fluctuations are {100.0 * share:.0f} % of those of others"
+                )
                 remedy += "; leave it out of parameters.train"
             raise ValueError(f"the training run at {point.label}: {error}; {remedy}") from error
     viscosities = np.array([case.plan.kinematic_viscosity(point) for point in points])
@@ -124,7 +126,7 @@ def report_onset(workspace: Workspace, model: str, basis: str, trained: TrainedB
     scale = point.reynolds * workspace.case.plan.kinematic_viscosity(point)
     found = closure.onsets(point.factors)
     if math.isinf(found[0]):
-        report.warn(f"{model}, basis {basis}: training runs determine no onset")
+        report.warn(f"{model}, basis {basis}: the training runs do not determine an onset")
         return
     onset, low, high = (format_figure(scale / x, 3) for x in (found[0], max(found), min(found)))
     report.note(

@@ -173,7 +173,7 @@ class _Training:
     def _corrected(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
     ) -> tuple[TrainedBasis, Array]:
-        """Return the model with its correction, and its training runs without that."""
+        """Return the model with its correction, and its training runs without that correction."""
         # Coordinates that are not integrated are zero.
         coordinates = np.stack(
             [
@@ -191,7 +191,8 @@ class _Training:
     def _learnt(
         self, trained: TrainedBasis, models: Sequence[ReferenceModel], runs: Sequence[Run]
     ) -> BasisModel:
-        """Return the model with the corrections and steps that its own training runs teach."""
+        """Return the model with the corrections and steps that follow from its own training
+        runs."""
         if self.section.time_step == AUTO:
             steps = [0.0 if math.isfinite(run.diverged_at) else run.time_step for run in runs]
             trained = replace(trained, first_step=np.array(steps))
@@ -422,7 +423,7 @@ class _Training:
     def _differences(
         self, held_out: Sequence[tuple[ReferenceModel, Array]], complete: Sequence[int]
     ) -> dict[str, Differences]:
-        """Return measurements of full training runs less those of complete held-out ones.
+        """Return measurements of full training runs minus those of complete held-out ones.
 
         They include sound and particle noise, which the model lacks.
         """

@@ -69,7 +69,7 @@ def limits(
 
 
 def measured_at(workspace: Workspace, point: ParameterPoint) -> Measured:
-    """Return no measurements: those of the case are all."""
+    """Return no measurements, because there are none besides those of the case."""
     return {}
 
 

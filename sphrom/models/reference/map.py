@@ -74,7 +74,7 @@ def _report_errors(
 ) -> None:
     """Store the loss of the map: for the exact solution, or without one, for a map there and back.
 
-    The pressure is taken less its mean, which no map changes. Noise from particle to particle, such
+    The mean pressure is left out, as no map changes it. Noise from particle to particle, such
     as that of the pressure next to a lid, counts as lost.
     """
     last = len(trajectory.read("time")) - 1

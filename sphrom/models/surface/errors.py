@@ -69,7 +69,7 @@ def field_errors(run: SurfaceRun, full: Samples) -> tuple[Array, Array]:
     """Return root mean squares (n_snapshots, 2) of errors and of a full run's fields [m/s, Pa].
 
     They are over the grid of comparisons, of the velocity, and of the pressure without the weight
-    of fluid at rest and less its mean.
+    of fluid at rest and minus its mean.
     """
     workspace = run.model.workspace
     grid = probes_of(workspace.case).grid

@@ -74,7 +74,7 @@ class SurfaceModelAt:
 
 
 class SurfaceModel(Model[SurfaceModelAt]):
-    """A trained model, with the number of modes in its section, those of noise left out."""
+    """A trained model, with the number of modes in its section but without modes of noise."""
 
     def __init__(
         self,
@@ -183,7 +183,7 @@ class SurfaceRun(ModelRun):
 
     @cached_property
     def unlike_training(self) -> tuple[str, ...]:
-        """How much steeper the surface is than in training, if it is much steeper."""
+        """A sentence on the steepness of the surface, if it is much steeper than in training."""
         graph = self.reduced.graph
         steepest = float(graph.steepness(self.coordinates).max(initial=0.0))
         factor = steepest / graph.basis.largest_slope
@@ -214,7 +214,7 @@ class SurfaceRun(ModelRun):
 
     @cached_property
     def recorded(self) -> dict[str, Quantities]:
-        """The same without coefficients, as full runs record it."""
+        """The measurements without coefficients, as full runs record them."""
         recorded = self.model.workspace.case.scene.recorded
         return {name: self._measure(name, each) for name, each in recorded.items()}
 

@@ -163,7 +163,7 @@ def project(workspace: Workspace) -> None:
 
 
 def fit_splines(workspace: Workspace) -> None:
-    """Say that there is nothing to do: stream functions are splines."""
+    """Report that there is nothing to do, because stream functions are splines."""
     workspace.context.report.info("models of a free surface need no splines of modes")
 
 

@@ -1,4 +1,4 @@
-"""Artifacts of flows with a free surface: bases, trained models, and where the surface is."""
+"""Artifacts of flows with a free surface: bases, trained models, and the height of the surface."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def trained_size(
 
 
 def sized(workspace: Workspace, section: ReducedModelSection, basis: str) -> ReducedModelSection:
-    """Return a model with its number of modes, those of noise left out."""
+    """Return a model with its number of modes, without modes of noise."""
     _, graph = trained_size(workspace, section)
     return section.model_copy(update={"n_modes": graph.n_modes})
 

@@ -1,1 +1,1 @@
-"""Walls: `kinds` lists their rules, `rule` has the common code, `rules` has a class of each."""
+"""Walls: `kinds` lists the wall rules, `rule` has their common code, `rules` a class for each."""

@@ -1,4 +1,4 @@
-"""The list of wall rules, with the facts that a case needs before the code of a rule is loaded."""
+"""The list of wall rules, with their properties that cases need before loading their code."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class WallKind:
     viscous_limit: float = 0.22
     """Largest nu dt / (h dx), because velocities are extrapolated from close by."""
     stiffer_at_corners: float = 0.2
-    """Increase of the largest friction rate beside walls at a corner, over its sharpness."""
+    """Increase of the largest friction rate beside walls at a corner, relative to its sharpness."""
 
     @property
     def rule(self) -> type[WallRule]:

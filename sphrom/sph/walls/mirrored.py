@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 FLUX = 4
 """Row of the interpolated fields with the flux towards a ghost."""
 SAME = 1e-9
-"""Distance over h below which mirror points are the same."""
+"""Distance relative to h below which mirror points are the same."""
 
 SHARES = (0.5, 0.5, 0.5, 0.0, 0.0)
 """Factors on the distance of a mirror point from its wall, in turn, while it is in another solid;

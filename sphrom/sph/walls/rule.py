@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from sphrom.sph.point_sums import GhostSums
 
 FELT = 1.5
-"""Distance of the second layer from a wall, over the spacing."""
+"""Distance of the second layer from a wall, relative to the spacing."""
 SHARE_SLOPE = 0.78
 """Integral of the kernel along a line through its centre, times the smoothing length."""
 THIN_SHARE = 0.2
-"""Of the kernel's sum, from which ghosts below thin fluid count fully."""
+"""Share of the kernel's sum from which ghosts below thin fluid have full weight."""
 
 
 class WallRule(ABC):
@@ -48,11 +48,11 @@ class WallRule(ABC):
     deeper_at_corners: ClassVar[float] = 0.0
     """Relative increase of the ghosts' depth at a right angle."""
     nearest: ClassVar[float] = 0.5
-    """Least distance from a wall, over the spacing, for the extrapolation of velocities."""
+    """Least distance from a wall, relative to the spacing, for the extrapolation of velocities."""
     closest: ClassVar[float] = 0.25
-    """Least distance from a wall that shifting allows, over the spacing."""
+    """Least distance from a wall that shifting allows, relative to the spacing."""
     touching: ClassVar[float] = 0.5
-    """Distance from a wall at which shifting stops pushing towards it, over the spacing."""
+    """Distance from a wall at which shifting stops pushing towards it, relative to the spacing."""
     adds_heads: ClassVar[bool] = True
     """Whether a body force adds the weight of the fluid in between to the pressure of ghosts."""
 
@@ -201,7 +201,8 @@ class WallRule(ABC):
         return wall
 
     def slipping(self, mean: Array, wall: Array) -> Array:
-        """Return the same where fluid slips freely: the part across the wall is reversed."""
+        """Return the ghosts' velocity where fluid slips freely: the part across the wall is
+        reversed."""
         if self.walls.normal is None:
             into_fluid = self._into_fluid
             return mean - 2.0 * np.sum((mean - wall) * into_fluid, axis=0) * into_fluid
@@ -261,9 +262,9 @@ class WallTerms:
     means: Array
     """The fields that ghosts took from the fluid, by `WallRule.interpolated`."""
     fits: Array
-    """The rule's fits, from there, too."""
+    """The rule's fits, also from `WallRule.interpolated`."""
     search: Search
-    """With which ghosts search the fluid."""
+    """The cells in which ghosts search the fluid."""
 
     distance: Array = field(init=False)
     """(n_targets,) of the particles from walls [m]."""
