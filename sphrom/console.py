@@ -325,7 +325,7 @@ class Reporter:
         def shown() -> tuple[str, float, str]:
             text = shortened(description, shutil.get_terminal_size().columns // 2 - 5)
             counted = f"  {done:>{len(str(total))}} of {total}" * (total > 1)
-            share = min(done / total, MOST_SHOWN)
+            share = min(done / max(1, total), MOST_SHOWN)
             return text + counted, share, f"{100.0 * share:3.0f} %"
 
         def advance(more: int) -> None:

@@ -105,7 +105,7 @@ class Progress:
 
     def begin(self, description: str, total: int) -> None:
         """Begin to count the items of a progress within the stage."""
-        self._ahead = self._work_of(description) / total * self._stage.at_once
+        self._ahead = self._work_of(description) / max(1, total) * self._stage.at_once
 
     def add(self, description: str, share: float) -> None:
         """Count a share of a progress within the stage."""

@@ -107,6 +107,10 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
 
     Raises SphromError.
     """
+    has_workers = stage in WITH_WORKERS
+    if has_workers:
+        workers = asked.pop("workers", context.workers)
+        context = with_workers(context, workers, asked.pop("scheduler", context.scheduler))
     with (
         _warnings_in_lines(context.report),
         _whole(context, [stage], asked) as context,
@@ -115,12 +119,8 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> Any:
         module, _, name = STAGES[stage].partition(":")
         run = getattr(import_module(f"sphrom.{module}"), name or "run")
         parameters = signature(run).parameters
-        known = [*parameters][1:]
+        known = [*parameters][1:] + ["workers", "scheduler"] * has_workers
         takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-        if stage in WITH_WORKERS:
-            known += ["workers", "scheduler"]
-            workers = asked.pop("workers", context.workers)
-            context = with_workers(context, workers, asked.pop("scheduler", context.scheduler))
         for option in asked:
             if option not in known and not takes_any:
                 raise CaseError(

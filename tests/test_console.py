@@ -285,6 +285,17 @@ def test_the_stages_of_a_command_are_one_whole(monkeypatch, clock):
     assert screen(terminal.getvalue()) == [""]
 
 
+def test_a_progress_without_items_is_shown_too(monkeypatch):
+    terminal = at_terminal(monkeypatch, 80)
+    times = {"rom": StageTime(4.0, {"runs": 4.0})}
+    with (
+        Reporter().whole(lambda: times) as report,
+        report.stage("rom"),
+        report.progress("runs", 0),
+    ):
+        assert drawn(terminal)[-1].endswith("  0 %")
+
+
 def test_without_a_terminal_the_whole_is_not_estimated():
     lines = []
     with Reporter(write=lines.append).whole(pytest.fail) as report, report.stage("fom"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -12,7 +13,7 @@ import pytest
 from sphrom.case.models import Case
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import full_seconds
-from sphrom.stages import STUDIES
+from sphrom.stages import STUDIES, run_stage
 from sphrom.study_times import times_of_study
 
 FAST = {"name": "x", "evaluation": "operators", "n_modes": 3}
@@ -50,6 +51,19 @@ def test_a_training_has_a_part_for_each_number_of_full_runs() -> None:
     longer = times_of_study(trained, "train", {"budget": 6})
     more = sum(part.seconds for part in longer.values()) - sum(p.seconds for p in parts.values())
     assert more > 2 * full_seconds(trained.case, 1)
+
+
+def test_workers_that_python_asks_for_count(monkeypatch) -> None:
+    estimated = []
+    report = Mock()
+    report.whole.side_effect = lambda times: nullcontext(estimated.append(times()) or report)
+    report.stage.return_value = nullcontext()
+    monkeypatch.setattr("sphrom.sweep.sweep.run", lambda context: context.workers)
+    alone = replace(
+        context(sweep={"reynolds": {"low": 50, "high": 100, "count": 16}}, rom=[]), report=report
+    )
+    assert run_stage("sweep", alone, workers=4) == 4
+    assert [times["sweep"].at_once for times in estimated] == [4]
 
 
 @pytest.mark.parametrize("stage", STUDIES)

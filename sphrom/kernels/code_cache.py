@@ -85,7 +85,11 @@ class CodeCache:
             return False
         place = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "big")
         try:
-            fcntl.lockf(_lock_file(self.folder), how, 1, place)
+            file = _lock_file(self.folder)
+        except OSError:  # for example of another user
+            return False
+        try:
+            fcntl.lockf(file, how, 1, place)
         except OSError as error:
             return error.errno in (errno.EACCES, errno.EAGAIN)
         return False
@@ -94,7 +98,7 @@ class CodeCache:
 @cache
 def _lock_file(folder: Path) -> int:
     """Open the file whose bytes are locked; it stays open, since closing it ends all claims."""
-    return os.open(folder.with_suffix(".lock"), os.O_RDWR | os.O_CREAT)
+    return os.open(folder.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o666)
 
 
 def find_cache(name: str) -> CodeCache:

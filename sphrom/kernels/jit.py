@@ -150,8 +150,10 @@ def code_cache() -> CodeCache:
 class _KeptCode(NullCache):
     """The machine code of one function, for each kind of arguments and processor."""
 
-    def __init__(self, function: Callable[..., object]) -> None:
+    def __init__(self, compiled: Any) -> None:
+        function = compiled.py_func
         self._name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
+        self._waiting = {"dispatcher": compiled}
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """Return the code compiled for a signature, or None if it must be compiled."""
@@ -162,7 +164,9 @@ class _KeptCode(NullCache):
         content = code_cache().read(file)
         if content is None:
             _tell_of_compiling()
-            code_cache().claim(file)
+            # To wait for another process that compiles it is told, and timed, like compiling it.
+            with event.trigger_event("numba:compile", data=self._waiting):
+                code_cache().claim(file)
             content = code_cache().read(file)  # another process may have stored it meanwhile
             if content is None:
                 return None
@@ -199,7 +203,7 @@ def _kept(compiled: Any) -> Any:
         Path(compiled.py_func.__code__.co_filename).parent == Path(__file__).parent
     )
     if of_kernels:
-        compiled._cache = _KeptCode(compiled.py_func)
+        compiled._cache = _KeptCode(compiled)
     return compiled
 
 

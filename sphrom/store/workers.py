@@ -247,13 +247,16 @@ def compiled_ahead() -> Iterator[None]:
             from sphrom.kernels.jit import threads_for
 
             number = min(threads_for(asked_for()), MOST_AHEAD)
-            # Not by multiprocessing, which would run a program without a guard once more.
-            command = [sys.executable, "-m", "sphrom.kernels.ahead", str(number)]
+            # Not by multiprocessing, which would run a program without a guard once more. With -P,
+            # no file of the working folder is taken for a module.
+            command = [sys.executable or "", "-P", "-m", "sphrom.kernels.ahead", str(number)]
             for share in range(number if number > 1 else 0):
-                process = Popen([*command, str(share)], stdin=PIPE, stdout=DEVNULL, stderr=DEVNULL)
-                block.enter_context(process)
-                block.callback(process.kill)
-                threading.Thread(target=process.wait, daemon=True).start()
+                words = [*command, str(share)]
+                with suppress(OSError):  # the kernels are then compiled when they are called
+                    process = Popen(words, stdin=PIPE, stdout=DEVNULL, stderr=DEVNULL)
+                    block.enter_context(process)
+                    block.callback(process.kill)
+                    threading.Thread(target=process.wait, daemon=True).start()
 
         when_compiling.append(start)
         try:

@@ -21,6 +21,8 @@ from sphrom import kernels
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.console import SilentReporter
+from sphrom.kernels import code_cache
+from sphrom.kernels.ahead import KERNELS
 from sphrom.models import fom
 from sphrom.setup.context import StageContext
 from sphrom.store import tasks, workers
@@ -194,9 +196,21 @@ def test_processes_that_compile_ahead_end_with_their_block(
     assert not kernels.when_compiling
 
 
-def test_a_process_that_compiles_ahead_ends_with_its_parent() -> None:
+def test_a_process_that_compiles_ahead_ends_with_its_parent(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sphrom.kernels.ahead", "1", "0"]
-    with Popen(command, stdin=PIPE) as process:
+    nothing_kept = os.environ | {code_cache.VARIABLES[0]: str(tmp_path)}
+    with Popen(command, stdin=PIPE, env=nothing_kept) as process:
         assert process.stdin is not None
         process.stdin.close()
         assert process.wait(60.0) == 0
+    last = KERNELS[-1][0].__name__
+    assert not list(tmp_path.rglob(f"*.{last}-*.nbc"))  # it has not compiled all
+
+
+def test_a_command_goes_on_where_no_process_can_be_started(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("sphrom.kernels.jit.threads_for", lambda count: 2)
+    for program in (None, str(tmp_path / "none")):
+        monkeypatch.setattr(sys, "executable", program)
+        with workers.compiled_ahead():
+            for call in kernels.when_compiling:
+                call()

@@ -298,9 +298,10 @@ class _Training:
         coordinates: Array,
         stored: PressureSpace,
     ) -> tuple[TrainedBasis, dict[int, Array]]:
-        """Return the model with the pressure that is the best one in held-out training runs.
+        """Return the model with the pressure whose expected error is the least.
 
-        Its own modes have coordinates (n_snapshots, n_pressure_modes) there, by number of the run.
+        Its own modes have coordinates (n_snapshots, n_pressure_modes) in held-out training runs, by
+        number of the run.
         """
         space = stored.of_modes(self.modes)
         usable = np.flatnonzero(space.squares.any(axis=1)).tolist()
