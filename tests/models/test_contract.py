@@ -204,7 +204,7 @@ def test_a_file_is_still_checked(alone: Path) -> None:
 
 @pytest.mark.parametrize("name", ["operators.h5", "pod.h5"])
 def test_other_artifacts_are_no_models(study: sphrom.Study, name: str) -> None:
-    with pytest.raises(ArtifactError, match="no model"):
+    with pytest.raises(ArtifactError, match="not a model"):
         sphrom.load(study.folder / name)
 
 

@@ -97,6 +97,10 @@ def test_browser_shows_the_page_and_runs_the_animation(place, sphrom, browser) -
 
 
 def test_pictures_scroll_on_a_phone_and_the_page_does_not(place, sphrom, browser) -> None:
+    (place / "trade").mkdir(exist_ok=True)
+    (place / "trade" / "models.csv").write_text("model\nfull\n")
+    pixels = np.zeros((600, 900, 3), dtype=np.uint8)
+    (place / "trade" / "trade.png").write_bytes(as_png([[pixels]]))
     sphrom("report", "tiny.yaml", code=0)
     browser.open(place / "report.html", width=400)
     assert browser.value("document.documentElement.scrollWidth") <= 400
