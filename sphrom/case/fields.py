@@ -76,7 +76,7 @@ class OneOf(Generic[S]):
         inner = {key for name in present for key in self.kinds[name].model_fields if key != name}
         chosen = [name for name in present if name not in inner]
         if len(chosen) != 1:
-            got = " and ".join(chosen) or "none"
+            got = " and ".join(chosen or map(str, given)) or "none"
             raise ValueError(f"must be exactly one of {', '.join(self.kinds)}; got {got}")
         return self.kinds[chosen[0]]
 

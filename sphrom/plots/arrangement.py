@@ -90,9 +90,19 @@ def arrange(
         label = cell.axes.yaxis.label
         height = cell.axes.get_position().height * figure.get_figheight()
         lines = label.get_text().split("\n")
-        label.set_text("\n".join(fill(line, max(12, int(height / LETTER))) for line in lines))
+        letters = max(12, int(height / LETTER))
+        label.set_text("\n".join(_balanced(line, letters) for line in lines))
     left = _widths_of_labels(figure, cells, len(left))
     _place(figure, cells, bars, left, title, lines_below)
+
+
+def _balanced(text: str, letters: int) -> str:
+    """Break text into as few lines as fit into `letters`, of similar lengths, before its unit."""
+    text = text.replace(" [", "\N{NO-BREAK SPACE}[").replace("Eq. ", "Eq.\N{NO-BREAK SPACE}")
+    fewest = fill(text, letters).count("\n")
+    word = min(letters, max(map(len, text.split(" "))))
+    least = next(n for n in range(word, letters + 1) if fill(text, n).count("\n") <= fewest)
+    return fill(text, least).replace("\N{NO-BREAK SPACE}", " ")
 
 
 def _widths_of_labels(figure: Figure, cells: Sequence[Cell], n_columns: int) -> list[float]:

@@ -185,6 +185,8 @@ class Panel:
     axes: Literal["linear", "logarithmic", "both logarithmic"] = "linear"
     marked: Sequence[int] = ()
     """Numbers of modes that a vertical line marks, on logarithmic axes."""
+    margin: float | None = None
+    """Space around all curves, relative to their range; None is that of curves over time."""
 
 
 def draw_grid(
@@ -398,7 +400,7 @@ def _draw_curves(axes: Axes, panel: Panel) -> None:
     axes.set(xlabel=panel.x_label, ylabel=panel.y_label, axisbelow=True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True)
-    axes.margins(x=0.01)
+    axes.margins(x=0.01) if panel.margin is None else axes.margins(panel.margin)
     axes.locator_params(axis="y", nbins=MOST_TICKS + 1)
     if all(np.issubdtype(curve.x.dtype, np.integer) for curve in panel.curves):
         axes.locator_params(axis="x", integer=True)

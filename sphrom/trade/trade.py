@@ -388,7 +388,6 @@ def draw_trade(results: Results) -> Figure:
     panels = [_panel(results, quantity) for quantity in quantities]
     figure = draw_grid([panels], title=results.measure.words)
     for axes, quantity in zip(figure.axes, quantities, strict=True):
-        axes.margins(x=MARGIN, y=MARGIN)
         shares = axes.transScale + axes.transLimits
         last = np.full(2, np.inf)
         for seconds, error, row in _front(results, quantity)[::-1]:
@@ -397,6 +396,8 @@ def draw_trade(results: Results) -> Figure:
                 last = at
                 name = row.model.removeprefix(f"{row.family}, ")
                 where: Any = {"textcoords": "offset points", "fontsize": 7.5}
+                # The name stays legible on lines.
+                where["bbox"] = {"color": "white", "alpha": 0.8, "pad": 0.5}
                 way, side = (-1, "right") if at[0] > RIGHT else (1, "left")
                 axes.annotate(name, (seconds, error), (4 * way, 4), ha=side, **where)
     return figure
@@ -427,7 +428,7 @@ def _panel(results: Results, quantity: str) -> Panel:
     # A quantity that is only noise has no errors, and a logarithmic axis needs some.
     has_errors = any(np.isfinite(curve.y).any() for curve in curves)
     scales: Any = "both logarithmic" if has_errors else "linear"
-    return Panel("", "seconds of a run [s]", label, curves, scales)
+    return Panel("", "time of a run [s]", label, curves, scales, margin=MARGIN)
 
 
 Mark = tuple[float, float, weighing.ModelRow]
