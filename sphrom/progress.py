@@ -64,11 +64,7 @@ class StageTime:
 
 
 class Progress:
-    """How much of all stages is done, in seconds of their estimate, and the time left.
-
-    The progress of work that is not counted follows the clock, ever more slowly if it takes longer
-    than estimated. The pace is the ratio of the time of all work so far to its estimate.
-    """
+    """How much of all stages is done, in seconds of their estimate, and the time left."""
 
     def __init__(self) -> None:
         self.stages: Mapping[str, StageTime] = {}
