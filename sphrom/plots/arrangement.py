@@ -100,7 +100,7 @@ def _balanced(text: str, letters: int) -> str:
     """Break text into as few lines as fit into `letters`, of similar lengths, before its unit."""
     text = text.replace(" [", "\N{NO-BREAK SPACE}[").replace("Eq. ", "Eq.\N{NO-BREAK SPACE}")
     fewest = fill(text, letters).count("\n")
-    word = min(letters, max(map(len, text.split(" "))))
+    word = min(letters, max(map(len, text.split(" "))) or 1)
     least = next(n for n in range(word, letters + 1) if fill(text, n).count("\n") <= fewest)
     return fill(text, least).replace("\N{NO-BREAK SPACE}", " ")
 

@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from sphrom.compare.comparison_figures import overview_rows
 from sphrom.errors import ArtifactError
 from sphrom.metrics.grids import Slices, grid_points
-from sphrom.plots.arrangement import WIDEST
+from sphrom.plots.arrangement import WIDEST, _balanced
 from sphrom.plots.frames import Frame
 from sphrom.plots.panels import Curve, Field, Panel, colour_scale, draw_grid, save
 
@@ -185,3 +185,17 @@ def test_labels_of_marked_sizes_stay_apart() -> None:
         assert len(axes.lines) == 1 + len(sizes)
         boxes = [text.get_window_extent() for text in axes.texts]
         assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+
+
+@pytest.mark.parametrize(
+    ("text", "letters", "broken"),
+    [
+        ("velocity, line: relative L2 [%]", 24, "velocity, line:\nrelative L2 [%]"),
+        ("pressure less its mean [Pa]", 23, "pressure less\nits mean [Pa]"),
+        ("over range (Eq. 4.1) [%]", 16, "over range\n(Eq. 4.1) [%]"),
+        ("", 12, ""),
+        ("incomparable_name", 12, "incomparable\n_name"),
+    ],
+)
+def test_labels_break_evenly_and_keep_their_units(text: str, letters: int, broken: str) -> None:
+    assert _balanced(text, letters) == broken

@@ -153,6 +153,7 @@ def test_a_lonely_particle_flies_and_what_leaves_the_box_is_named() -> None:
     [
         ({"fluid": {"level": 1.5}}, "fluid.level: must be above 0 and below 1; got 1.5"),
         ({"fluid": {}}, "exactly one of level, circle, rectangle, polygon; got none"),
+        ({"fluid": {"sphere": {}}}, "exactly one of level, circle, rectangle, polygon; got sphere"),
         ({"fluid": {"circle": {"centre": [0, 0.5], "radius": 0.3}}}, "within the box"),
         ({"box": {"periodic": ["y"]}}, "fluid.level: needs a floor"),
         ({"walls": {"top": {"velocity": [1, 0]}}}, "slip: moving walls"),
