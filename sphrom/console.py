@@ -352,7 +352,7 @@ SilentReporter = partial(Reporter, write=lambda text: None)
 
 
 def _progress_lines(description: str, total: int) -> Generator[str, int, None]:
-    """Take the numbers of items done, one after another; yield a line at growing intervals, or ""."""
+    """Take numbers of items done, one after another; yield a line at growing intervals, or ""."""
     interval = LINE_INTERVAL
     due = time.monotonic() + interval
     first = done = yield ""
