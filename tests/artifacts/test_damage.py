@@ -110,7 +110,7 @@ def attribute_in_latin_1(item: h5py.HLObject) -> None:
         (lambda file: file.attrs.__setitem__("sound_speed", 11.0), "its digest does not match"),
         (lambda file: file.attrs.__delitem__("uuid"), "attribute uuid is missing"),
         (lambda file: file.__delitem__("pressure"), "its digest does not match"),
-        (lambda file: file["case"].__setitem__((), b"name: other"), "the stored case is not"),
+        (lambda file: file["case"].__setitem__((), b"name: other"), "the stored case has changed"),
         (lambda file: attribute_in_latin_1(file), "its digest does not match"),
         # Two names for one thing.
         (lambda file: file.__setitem__("parameters/again", file["/"]), "its digest"),
