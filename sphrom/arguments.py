@@ -67,7 +67,7 @@ _KINDS: tuple[tuple[str, Callable[[Any], bool], Callable[[Any], Any], str], ...]
     ("a text", lambda v: isinstance(v, str), str, "until stage name group to scheduler tolerance"),
     ("true or false", lambda v: isinstance(v, bool | np.bool_), bool, "force quiet resume collect"),
     ("a whole number", lambda v: isinstance(v, int | np.integer), int, "place"),
-    ("a whole number from 1 on", _is_count, int, "threads workers"),
+    ("a whole number from 1 on", _is_count, int, "threads workers budget"),
     ("(i, n) with i from 1 to n", _is_shard, tuple, "shard"),
     ("a path", _is_path, Path, "path out into write_case"),
     ("a list of texts", _are_texts, tuple, "only names at inputs outputs"),

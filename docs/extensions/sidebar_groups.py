@@ -1,6 +1,7 @@
 """Fold the groups of the sidebar, so that it fits a screen; the group of the shown page is open."""
 
 import re
+from itertools import count
 from typing import Any
 
 from sphinx.application import Sphinx
@@ -18,7 +19,7 @@ def fold(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: o
     """Turn each caption and its list into an element that opens and closes."""
     pages = context.get("furo_navigation_tree", "")
     somewhere = 'class="current"' in pages or " current" in pages
-    groups = iter(range(len(pages)))
+    groups = count()
 
     def folded(group: re.Match[str]) -> str:
         is_first = next(groups) == 0

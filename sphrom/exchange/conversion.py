@@ -131,8 +131,8 @@ class Converter:
             raise CaseError(
                 f"{foreign.path}: {outside} of the particles are outside the scene; all of "
                 f"them span {spans}, with a spacing of {distance:.3g} m, and {spacing:.3g} m "
-                "in the "
-                f"case; check --units, --origin, --array and the size of the scene{fitting}"
+                "in the case; check --units, --origin, --array and the size of the "
+                f"scene{fitting}"
             )
         if domain.n_dim == 3:
             self._require_filled(foreign, position)

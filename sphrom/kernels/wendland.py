@@ -19,7 +19,8 @@ LAPLACIAN_SHAPE = 55.0 / 84.0
 """b of `laplacian_weight`, in two dimensions: the integral of q^5 (1 - q/2)^3 divided by that of
 q^7."""
 LAPLACIAN_SHAPE_IN_SPACE = 33.0 / 56.0
-"""The same in three dimensions: the integral of q^6 (1 - q/2)^3 relative to that of q^8."""
+"""The same in three dimensions: the integral of q^6 (1 - q/2)^3 divided by that of
+q^8."""
 
 
 @term

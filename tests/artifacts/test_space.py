@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 
@@ -63,14 +64,12 @@ def test_datasets_in_space_have_three_components_and_their_units(path: Path) -> 
 
 
 def test_paraview_sees_the_third_component(path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
     with h5py.File(path) as file:
         points = file[f"{VIEW}/Points"][...]
         np.testing.assert_array_equal(points, file["position"][...].reshape(-1, 3))
 
 
 def test_file_itself_has_the_units_of_space(path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
     with h5py.File(path) as file:
         assert file["force/lid/pressure"].attrs["units"] == b"N"
         assert file["measure/flux/flow_rate"].attrs["units"] == b"m3/s"
