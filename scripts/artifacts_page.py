@@ -15,9 +15,9 @@ def schemas_as_markdown() -> str:
         "In a name, `*` stands for one group that the case names. Every artifact also holds the "
         "case as text in `/case`, and in `/lineage/<role>` the file name, `uuid` and "
         "`content_sha256` of each input.",
-        "What holds fields shows them to ParaView 5.12 and later in `/VTKHDF`, a view of the same "
-        "bytes: particles or reference points, stepping through snapshots, or through modes. No "
-        "reader of artifacts looks at it.",
+        "Artifacts with fields show them to ParaView 5.12 and later in `/VTKHDF`, a view of the "
+        "same bytes: particles or reference points, stepping through snapshots, or through modes. "
+        "No reader of artifacts looks at it.",
         "## Every artifact",
         _attributes((*PROVENANCE, TIMING)),
     ]

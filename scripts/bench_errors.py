@@ -1,10 +1,9 @@
-"""Error over processor time: the Taylor-Green vortex by sphrom, PySPH and JAX-SPH.
+"""Error over processor time for the Taylor-Green vortex: sphrom, PySPH and JAX-SPH.
 
 All start from the same packed particles, with the same kernel and support, and run on one thread.
 sphrom takes the steps of `time.step: auto`; peers take theirs (`peer_vortices.py`). Times are those
 of all steps, without start, compilation and output. The error is that of the velocity of particles
-at the end. Installs peers into environments of their own. Prints a table; writes JSON and a
-plot.
+at the end. Installs peers into environments of their own. Prints a table; writes JSON and a plot.
 
     python scripts/bench_errors.py --figure docs/figures/error-over-time.png
 """
@@ -37,12 +36,12 @@ PEER = Path(__file__).with_name("peer_vortices.py")
 OURS = {"sphrom": "float64", "sphrom, float32": "float32"}
 PEERS = {"PySPH, EDAC": "edac", "PySPH, TVF": "tvf", "JAX-SPH": "jax-sph"}
 FINEST = (("JAX-SPH", "50"), ("PySPH, TVF", "50"))
-"""Finer runs take longer than all others."""
+"""Finest resolutions of slow programs; finer runs would take longer than all others together."""
 JAX_SPH = (
     ["--no-deps", "--ignore-requires-python", "jax-sph"],
     ["jax[cpu]==0.4.29", "numpy<2", "scipy<1.13", "h5py", "omegaconf", "pandas", "pyvista"],
 )
-"""What to install: the package, which refuses Python 3.11.1 and later, and what it needs."""
+"""Arguments of pip: the package, which refuses Python 3.11.1 and later, and its requirements."""
 
 
 def vortex(resolution: int, ratio: float, final_time: float, precision: str) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""What it takes to start: commands, and a trained model that is opened from Python.
+"""The start-up times of commands, and of a trained model that is opened from Python.
 
 Trains a model of a case into --folder, unless it is there, and measures the processor time of each
 part several times, in processes of their own. The least time counts. The compiled code must be kept
@@ -7,7 +7,8 @@ already: the first command on a machine compiles it.
     python scripts/bench_startup.py cases/lid_driven_cavity_demo.yaml --repeats 5
 
 With --first, it measures the first command on a machine instead: `sphrom run` of the case with no
-compiled code, then once more with what that has compiled. The difference is the wait for compiling.
+compiled code, then once more with the code that it compiled. The difference is the time of
+compilation.
 
     python scripts/bench_startup.py cases/taylor_green_demo.yaml --first --repeats 3
 """

@@ -1,6 +1,6 @@
-"""What a step costs with walls of one kind, over the same with another: a lid-driven cavity.
+"""The cost of a step of a lid-driven cavity with walls of one kind, relative to another kind.
 
-Also what it costs with pairs in one precision, over the same in another, with walls or without.
+Also the cost with pairs in one precision relative to another, with walls or without.
 
 Both flows take turns in one process, and ratios are medians over many turns of processor time,
 because other processes slow both down alike.

@@ -23,7 +23,7 @@ class Browser:
     def __init__(self, folder: Path) -> None:
         read_by_it, self._to = os.pipe()
         self._from, written_by_it = os.pipe()
-        # The protocol has the file descriptors 3 and 4, which the shell arranges.
+        # The protocol uses the file descriptors 3 and 4, which the shell opens.
         command = [
             str(PROGRAM), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
             "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={folder}",
@@ -116,7 +116,7 @@ class Browser:
 
     @property
     def requests(self) -> list[str]:
-        """The addresses that the page asked for, but for its own and those that are data."""
+        """The addresses that the page asked for, except its own and `data:` addresses."""
         sent = (e for e in self.events if e.get("method") == "Network.requestWillBeSent")
         asked = (e["params"]["request"]["url"] for e in sent if e["params"]["type"] != "Document")
         return [address for address in asked if not address.startswith("data:")]

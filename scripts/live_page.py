@@ -1,4 +1,4 @@
-"""Make the page of a model that the documentation begins with, and the moving picture of README.
+"""Make the model's page with which the documentation begins, and the animation of README.
 
 python scripts/live_page.py    needs chromium; writes docs/static/model-fast.html and
                                docs/figures/live.webp
@@ -25,7 +25,7 @@ PICTURE = ROOT / "docs" / "figures" / "live.webp"
 EXPORT = ("--only", "fast", "--to", "page", "--columns", "64", "--into", PAGE.parent)
 SIZE = {"width": 960, "height": 640}
 LEAST, LARGEST, BEYOND = 18, 32, 39
-"""Reynolds numbers: both ends of the trained range, and the end of the slider."""
+"""Reynolds numbers at both ends of the trained range, and at the end of the slider."""
 FRAME = 90
 """Duration of a picture [ms]."""
 QUALITY = 80
@@ -50,7 +50,7 @@ def states() -> Iterator[tuple[float, float, int]]:
 
 
 def main() -> None:
-    """Train the model, write its page, move the sliders, and keep what the page shows."""
+    """Train the model, write its page, move the sliders, and record the page."""
     sphrom("run", CASE, "--out", RUNS, "--set", "compare.plots=false")
     sphrom("export", CASE, "--out", RUNS, "--force", *EXPORT)
     pictures = []

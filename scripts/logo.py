@@ -16,7 +16,7 @@ ACROSS = 5
 SIZE, RADIUS = 96, 6.5
 SEED = 3134  # of directions in which no two particles overlap
 SHIFT = 6.5
-"""How far the leftmost particles are from their places; the rightmost ones are there."""
+"""Shift of the leftmost particles from the lattice; the rightmost ones are on it."""
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 `docs/paper/<scene>.md` has the claims as a table from `<scene>.csv`, the costs as one from
 `<scene>-costs.csv`, the reasons for differences, the figures as small pictures, and the time taken.
 `<scene>.json` says how each reading was made. If only one reading was run, pictures and columns of
-the other one stay. Without runs, pages follow what the folder has and the present reasons:
+the other one stay. Without runs, pages are made anew from the folder and the present reasons:
 
     python scripts/paper_docs.py docs/paper
 """
@@ -40,9 +40,9 @@ KEPT_RIGHT = {
     "across their wall, ghosts with the whole velocity reversed, and gradients of the modes in the "
     "advection (Eq. 3.5-3.6)",
 }
-"""Corrections that the cases as printed have all the same."""
+"""Corrections that the cases as printed contain nevertheless."""
 WIDTH = 1000
-"""Of a picture, in pixels: there are many."""
+"""Width of a picture [pixels], small because there are many."""
 COLUMNS = {
     "corrected": ("corrected", "corrected, fast model", "corrected, best possible"),
     "as printed": ("as printed",),
@@ -54,7 +54,7 @@ def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: 
     """Write the page of a scene into a folder of the documentation, and return its path.
 
     `source` is the folder of the reproduction, with its claims.csv. A case whose full run was
-    unstable has no figures. A reading without a run keeps what the folder has of it.
+    unstable has no figures. A reading without a run keeps its tables and figures in the folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
     readings = {run.reading for run in runs}

@@ -128,7 +128,7 @@ def size_of(case: Case) -> str:
 
 
 def lead_of(sizes: Mapping[str, str]) -> str:
-    """Return what a page has, and the sizes of its cases by reading."""
+    """Return the first sentences of a page, from the sizes of its cases by reading."""
     return (
         "The figures and claims of Rodriguez et al. on this flow, each beside our result: "
         f"{' and '.join(f'{reading} on {size}' for reading, size in sizes.items())}. Fast models "
@@ -521,5 +521,5 @@ def hours_of_steps(case: Case, tables: Mapping[str, Any]) -> str:
 
 
 def counted(number: int, what: str) -> str:
-    """Return a number with what it counts."""
+    """Return a number with the noun that it counts."""
     return f"{number} {what}{'s' if number > 1 else ''}"

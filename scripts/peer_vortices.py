@@ -1,6 +1,6 @@
-"""Peers' side of `bench_errors.py`: whole runs of the Taylor-Green vortex by another program.
+"""Runs of the Taylor-Green vortex by another program, for `bench_errors.py`.
 
-Runs in an environment of its own, which sphrom is not in. Prints one line of JSON: the processor
+Runs in an environment of its own, without sphrom. Prints one line of JSON: the processor
 time of the steps, without compilation, and the error of the velocity at the end.
 
     python scripts/peer_vortices.py edac STATE.npz
@@ -16,9 +16,7 @@ from importlib.metadata import version
 import numpy as np
 
 COURANT = 0.25
-"""(c0 + U) dt / h: that of both programs' own cases."""
-WARM_UP = 2
-"""Steps that compile."""
+"""(c0 + U) dt / h, as in the cases of both programs."""
 
 
 def time_step(state: dict[str, np.ndarray]) -> float:

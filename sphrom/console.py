@@ -286,10 +286,10 @@ class Reporter:
 
     @contextmanager
     def whole(self, times: Callable[[], Mapping[str, StageTime]]) -> Iterator[Self]:
-        """Show above other bars, on a terminal, how much of all stages is done, and the time left.
+        """On a terminal, show a bar above others: the share done of all stages, and the time left.
 
-        The block gets a reporter whose `stage` tells which stage runs. Within another such block,
-        these are the stages of that one.
+        The block gets a reporter, whose `stage` counts one of the stages. A block within another
+        such block adds no bar.
         """
         if self._whole is not None or not (self._has_progress and self._has_bars):
             yield self
@@ -306,7 +306,7 @@ class Reporter:
 
     @contextmanager
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Show how much of `total` is done, and the time left, by a bar or by lines now and then.
+        """Show the share done of `total` items, by a bar, or by lines now and then.
 
         The block gets a function that takes the number of items done since its last call.
         """
@@ -352,11 +352,11 @@ SilentReporter = partial(Reporter, write=lambda text: None)
 
 
 def _progress_lines(description: str, total: int) -> Generator[str, int, None]:
-    """Take the number of items done, time after time; yield a line more and more rarely, or ""."""
+    """Take numbers of items done, one after another; yield a line at growing intervals, or ""."""
     interval = LINE_INTERVAL
     due = time.monotonic() + interval
     first = done = yield ""
-    since = time.monotonic()  # the first items may include compiling, which the rate leaves out
+    since = time.monotonic()  # the rate leaves out the first items, which may include compiling
     while True:
         line = ""
         now = time.monotonic()

@@ -1,8 +1,8 @@
 """The progress of a command: the share of all its work that is done, and the time left.
 
-Work is measured in seconds of its estimate. Some work is counted, item by item. The progress of
-other work follows the clock, ever more slowly if it takes longer than estimated. The pace is the
-ratio of the time of all work so far to its estimate.
+Work is measured by its estimated time. Some work is counted, item by item. The progress of other
+work follows the clock, and becomes ever slower if the work takes longer than estimated. The pace is
+the ratio of the time of all work so far to its estimate.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from sphrom.text import duration
 
 MOST_SHOWN = 0.99
-"""Largest share that is shown: work whose end is near isn't done yet."""
+"""Largest share that is shown, because a display of 100 % would mean the end."""
 LEAST_LEFT = 1.0
 """Smallest time left that is shown [s]."""
 PRIOR = 0.01
@@ -53,7 +53,7 @@ class StageTime:
 
     seconds: float
     items: Mapping[str, float] = field(default_factory=dict)
-    """The time of each progress within it [s], by the description up to a comma."""
+    """The time [s] of each counted part of it, by the part's description up to a comma."""
     uncounted: float = 0.0
     """The part before the first counted item, or the whole stage; its progress follows the
     clock."""
@@ -64,7 +64,7 @@ class StageTime:
 
 
 class Progress:
-    """How much of all stages is done, in seconds of their estimate, and the time left."""
+    """The share of all stages that is done, and the time left."""
 
     def __init__(self) -> None:
         self.stages: Mapping[str, StageTime] = {}
@@ -82,7 +82,7 @@ class Progress:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count a stage; if it ends early because artifacts exist, it was less work."""
+        """Count a stage in a block. If artifacts exist and it ends early, all work becomes less."""
         n_stages = len(self.stages)
         place = f"stage {[*self.stages].index(name) + 1} of {n_stages}: " * (n_stages > 1)
         self._title = f"{place}{name}"
@@ -100,11 +100,11 @@ class Progress:
         self._count(done - self._done)
 
     def begin(self, description: str, total: int) -> None:
-        """Begin to count the items of a progress within the stage."""
+        """Begin to count the items of a part of the stage."""
         self._ahead = self._work_of(description) / max(1, total) * self._stage.at_once
 
     def add(self, description: str, share: float) -> None:
-        """Count a share of a progress within the stage."""
+        """Count a share of a part of the stage."""
         if work := share * self._work_of(description):
             before = self._uncounted
             self._uncounted = 0.0

@@ -1,6 +1,6 @@
-"""The times that studies need, estimated before they begin for the time left that is shown.
+"""Estimated times of studies, from which their progress and the time left follow.
 
-As in `sphrom.setup.cost`, these are seconds of one core, shared by the processes of a study.
+As in `sphrom.setup.cost`, these are times on one core, divided among the processes of a study.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from sphrom.setup.cost import (
 )
 
 WEIGHING = 0.15
-"""Time to run, time and compare a reduced model at one point [s]."""
+"""Duration of a run, its timing and its comparison, for one reduced model and point [s]."""
 ESTIMATING = 5.0
 """Time of a run with its error estimate, relative to that of the run."""
 SNAPSHOT = 0.01

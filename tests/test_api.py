@@ -350,12 +350,16 @@ def test_values_are_read_and_verified_when_they_are_used(study, tmp_path, monkey
     path.write_bytes((study.folder / "fom-reynolds100.h5").read_bytes())
     with h5py.File(path, "r+") as file:
         file["velocity"][1, 2, 0] += 1.0
-    with pytest.raises(sphrom.errors.ArtifactError, match="velocity is not what was written"):
+    with pytest.raises(
+        sphrom.errors.ArtifactError, match="velocity has changed since it was written"
+    ):
         sphrom.open(path)
     monkeypatch.setattr("sphrom.artifacts.reader.SMALL_BYTES", 0)
     with sphrom.open(path) as run:
         assert run.pressure.sel(time=0.1, method="nearest").dims == ("particle",)
-        with pytest.raises(sphrom.errors.ArtifactError, match="velocity is not what was written"):
+        with pytest.raises(
+            sphrom.errors.ArtifactError, match="velocity has changed since it was written"
+        ):
             run.velocity.isel(snapshot=0).load()
 
 

@@ -1,8 +1,8 @@
 """Write the texts that the search page searches: those of every section of every page.
 
-Sphinx's own index knows which pages have a word, but neither where nor how often. Its search page
-fetches other pages to show some text of them, which browsers refuse to a page that is opened from
-a folder. So `static/search.js` searches the texts that this module writes. Rows of `words.md` are
+The index of Sphinx knows which pages have a word, but neither where nor how often. The search page
+of Sphinx fetches other pages to show excerpts; browsers refuse this to a page that is opened from a
+folder. So `static/search.js` searches the texts that this module writes. Rows of `words.md` are
 synonyms: a search for a word of the first cell shows the second one, which leads to the page of its
 first link.
 """
@@ -35,15 +35,15 @@ WEIGHTS = {
     "command-line": 0.8,
     "python/": 0.8,
 }
-"""Of a page, or of the pages of a folder, in the order of results; 1 if it is none of these."""
+"""Factors of the scores of pages, or of all pages of a folder; other pages have the factor 1."""
 ROW = re.compile(r"^\| (?P<words>[^|]+) \| (?P<answer>[^|]+) \|$", re.MULTILINE)
 LINK = re.compile(r"\[([^\]]+)\]\(([\w/-]+)\.md(#[\w-]+)?\)")
 UNREAD = (nodes.section, nodes.title, nodes.math_block, nodes.raw, nodes.comment)
-"""Left out of a section's text. Its title and its own sections are kept apart."""
+"""Parts that are not in the text of a section; its title and subsections are stored separately."""
 
 
 def words_of(node: nodes.Node) -> Iterator[str]:
-    """Yield the texts within a node, but for those of the parts that aren't read."""
+    """Yield the texts within a node, without those of `UNREAD`."""
     for child in node.children:
         if isinstance(child, nodes.Text):
             yield child.astext()
@@ -56,7 +56,7 @@ def words_of(node: nodes.Node) -> Iterator[str]:
 
 
 def names_of(section: nodes.section) -> Iterator[str]:
-    """Yield the names that tables of a section describe: code that is alone in a first cell."""
+    """Yield the names that tables of a section describe: first cells that contain only code."""
     tables = (part for part in section.children if isinstance(part, nodes.table))
     for table in tables:
         for row in table.findall(nodes.row):

@@ -1,4 +1,4 @@
-"""Fold the groups of the sidebar, so that it fits a screen: the group of the page shown is open."""
+"""Fold the groups of the sidebar, so that it fits a screen; the group of the shown page is open."""
 
 import re
 from itertools import count
@@ -12,11 +12,11 @@ CAPTION = re.compile(
     re.DOTALL,
 )
 AFTER_THE_THEME = 900
-"""The theme makes the list of pages when it has the priority of 500."""
+"""A priority: the theme makes the list of pages at 500."""
 
 
 def fold(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: object) -> None:
-    """Make an element that opens and closes of each caption and its list."""
+    """Turn each caption and its list into an element that opens and closes."""
     pages = context.get("furo_navigation_tree", "")
     somewhere = 'class="current"' in pages or " current" in pages
     groups = count()

@@ -2,7 +2,7 @@
 
 Sphinx replaces an alias by a placeholder. Inside of another type, such as
 `Callable[[Array], ArrayLike]`, it prints the placeholder's `repr`, which is the alias here. The
-build warns of signatures that spell a type of arrays out.
+build warns about signatures that spell out a type of arrays.
 """
 
 import re
@@ -16,7 +16,7 @@ SPELLED_OUT = re.compile(r"TypeAliasForwardRef|_Buffer|_SupportsArray|_NestedSeq
 
 
 def check(app: Sphinx, page: nodes.document) -> None:
-    """Warn of signatures with the parts of an alias."""
+    """Warn about signatures that spell an alias out."""
     for node in page.findall(addnodes.desc_signature):
         if SPELLED_OUT.search(node.astext()):
             logging.getLogger(__name__).warning(

@@ -53,12 +53,12 @@ def explained_faults(path: Path, made_by: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def damage(what: str) -> Iterator[None]:
+def damage(part: str) -> Iterator[None]:
     """Turn exceptions of h5py for damaged structures into a Fault."""
     try:
         yield
     except DAMAGE as error:
-        raise Fault(f"is damaged: {what} can't be read") from error
+        raise Fault(f"is damaged: {part} can't be read") from error
 
 
 def open_file(path: Path) -> h5py.File:

@@ -211,7 +211,7 @@ class Artifact:
         for block in blocks:
             digest.update(np.ascontiguousarray(block).data)
         if self._contents.digests.get(name, digest.hexdigest()) != digest.hexdigest():
-            raise Fault(f"is damaged: {name} is not what was written")
+            raise Fault(f"is damaged: {name} has changed since it was written")
         self._contents.verified.add(name)
 
     def form(self, name: str) -> layout.Form:
@@ -272,10 +272,10 @@ def _looked_through(file: h5py.File) -> Contents:
     with damage("the case"):
         contents.case_text = plain_text(file[CASE][()])
     if contents.digests.pop(CASE, "") != layout.text_digest(contents.case_text):
-        raise Fault("is damaged: the stored case is not what was written")
+        raise Fault("is damaged: the stored case has changed since it was written")
     for name in contents.datasets.keys() - contents.digests.keys() - {CASE}:
         if SCHEMAS[kind].dataset(name) is not None:
-            raise Fault(f"is damaged: {name} is not what was written")
+            raise Fault(f"is damaged: {name} has changed since it was written")
     digest = layout.content_digest(kind, contents.attributes, contents.datasets, contents.digests)
     if digest != contents.attributes["content_sha256"]:
         raise Fault("is damaged: its digest does not match its contents")

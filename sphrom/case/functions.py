@@ -54,7 +54,7 @@ Digest = Annotated[str, AfterValidator(_known)]
 
 
 def _identity(value: Any, scope: Mapping[str, Any], seen: list[Any]) -> Iterator[bytes]:
-    """Yield what identifies a value: code, constants, closures, and the globals that it names.
+    """Yield the parts that identify a value: code, constants, closures, the globals it names.
 
     Code finds its globals in `scope`. Functions of libraries are identified by their names.
     """

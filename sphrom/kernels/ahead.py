@@ -1,9 +1,9 @@
 """Kernels that other processes compile while the first stages of a case run.
 
-They are those of a case with models from operators that take longest to compile, in the order in
-which its stages call them, with the types of their arguments. A kernel that is called with other
-types is compiled when it is called. Each process ends when its standard input does, and so with the
-process that has started it.
+The list has the kernels of a case with models from operators that take longest to compile, in the
+order in which its stages call them, with the types of their arguments. A kernel that is called with
+other types is compiled at the call. Each process ends when its standard input is closed, and
+therefore with the process that started it.
 """
 
 from __future__ import annotations

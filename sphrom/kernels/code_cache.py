@@ -2,8 +2,8 @@
 
 Each file begins with a digest of the rest. A file that is empty, truncated or changed, for example
 after a power failure, is ignored, and the code is compiled and stored again. A file gets its name
-when it is complete, so any number of processes may compile the same code at the same time. They
-don't do so as a rule: a process that starts to compile claims the code, and others wait for it.
+when it is complete, so any number of processes may compile the same code at the same time. Usually
+only one does: a process that starts to compile claims the code, and the others wait.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class CodeCache:
     def claim(self, name: str) -> None:
         """Wait while another process compiles the code of a name, then claim it until `release`.
 
-        A claim ends with its process. There is none, nor waiting, where files can't be locked.
+        A claim ends with its process. Where files can't be locked, nothing is claimed or awaited.
         """
         end = time.monotonic() + PATIENCE
         while self._lock(name, fcntl.LOCK_EX | fcntl.LOCK_NB) and time.monotonic() < end:

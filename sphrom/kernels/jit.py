@@ -208,7 +208,7 @@ def _kept(compiled: Any) -> Any:
 
 
 class _Compiling(event.Listener):
-    """Counts the time spent on compiling functions, including those that they call."""
+    """Counts the time spent on compiling functions, including the functions that they call."""
 
     depth = 0
 

@@ -1,8 +1,8 @@
-"""The arrangement of panels in a figure, which is as large as they need and no wider than a page.
+"""Arrange panels in a figure, which is as large as they need and no wider than a page.
 
-Columns share the width that labels leave; pictures have the proportions of their frame. Only the
-widths of labels are measured, once for each axis: a general layout engine takes most of the time
-of a figure. All lengths are in inches.
+Columns share the width that is left beside labels; pictures have the proportions of their frame.
+Only the widths of labels are measured, once for each axis, because a general layout engine would
+take most of the time of drawing. All lengths are in inches.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDEST = 9.6
-"""Width of a figure, of which a page 7.7 inches wide shows the smallest type in 6 points."""
+"""Largest width of a figure. On a page 7.7 inches wide its smallest type then has 6 points."""
 FLAT = 0.7
-"""Height over width of pictures below which they are better placed in fewer columns."""
+"""Height over width of pictures below which they are placed in fewer columns."""
 LARGEST, TALLEST, LEAST_PICTURE = 10.0, 6.0, 0.9
-"""Largest area [square inch] and height of a picture, and its least width."""
+"""Largest area [square inches], largest height and least width of a picture."""
 CURVES, ALONE = 3.4, 5.5
-"""Width of a column of curves beside pictures, and the largest one without pictures."""
+"""Width of a column of curves beside pictures, and its largest width without pictures."""
 PROPORTION, LEAST, MOST = 0.72, 1.7, 2.4
-"""Height of curves over their width, and its limits."""
+"""Height of curves over their width, and the limits of their height."""
 LINE, LETTER = 0.17, 0.068
 """Height of a line of type, and the width of a letter."""
 EDGE, BETWEEN, GAP, OVER_LAST = 0.08, 0.36, 0.06, 0.15
@@ -33,7 +33,8 @@ EDGE, BETWEEN, GAP, OVER_LAST = 0.08, 0.36, 0.06, 0.15
 NUMBERS = 0.23
 """Height of the marks and numbers of an axis, without its label."""
 BAR, THICKNESS, BAR_SHARE = 0.6, 0.11, 0.9
-"""Height of a colour bar with its numbers and label, its own, and its width over that of panels."""
+"""Height of a colour bar with its numbers and label, that of the bar alone, and the bar's width
+over that of its panels."""
 FIRST_GUESS = 0.6
 """Width of labels before they are measured."""
 
@@ -49,10 +50,10 @@ class Cell:
     aspect: float | None = None
     """Height over width of a picture; None for curves."""
     lines_above: int = 0
-    """Lines of its title, and of labels above its axes."""
+    """Number of lines of its title, and of labels above its axes."""
 
     def height(self, width: float) -> float:
-        """Return its height at a width, without labels; that of curves is the least one."""
+        """Return its height at a width, without labels; for curves, the least height."""
         if self.aspect is not None:
             return width * self.aspect
         return max(LEAST, min(MOST, PROPORTION * width))
@@ -73,7 +74,7 @@ class Bar:
 
     @property
     def row(self) -> int:
-        """The row below which it is."""
+        """The row of panels above it."""
         return max(cell.row for cell in self.cells)
 
 
@@ -106,7 +107,7 @@ def _balanced(text: str, letters: int) -> str:
 
 
 def _widths_of_labels(figure: Figure, cells: Sequence[Cell], n_columns: int) -> list[float]:
-    """Return the largest width of numbers and labels on the left of each column."""
+    """Return the largest width of the numbers and labels to the left of each column."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     renderer = FigureCanvasAgg(figure).get_renderer()
@@ -127,7 +128,7 @@ def _place(
     title: str,
     lines_below: int,
 ) -> None:
-    """Set sizes and positions, with labels of given widths on the left of each column."""
+    """Set sizes and positions, with labels of given widths to the left of each column."""
     n_columns = len(left)
     margins = sum(left) + BETWEEN * (n_columns - 1) + 2.0 * EDGE + OVER_LAST
     widths = _widths(cells, n_columns, WIDEST - margins)
@@ -167,7 +168,7 @@ def _place(
 
 
 def _widths(cells: Sequence[Cell], n_columns: int, room: float) -> list[float]:
-    """Return the widths of columns, which have some room [inch]."""
+    """Return the widths of columns that share a width `room`."""
     pictures = [cell for cell in cells if cell.aspect is not None]
     if not pictures:
         return [min(room / n_columns, ALONE)] * n_columns
@@ -178,6 +179,6 @@ def _widths(cells: Sequence[Cell], n_columns: int, room: float) -> list[float]:
 
 
 def picture_width(aspect: float, n_columns: int, room: float = WIDEST) -> float:
-    """Return the width of pictures with a height over width in columns that share some room."""
+    """Return the width of pictures of an aspect in columns that share a width `room`."""
     most = min((LARGEST / aspect) ** 0.5, TALLEST / aspect)
     return max(LEAST_PICTURE, min(room / n_columns, most))

@@ -11,15 +11,15 @@ pressure of the first sum, the balance of momentum determines b:
 
     b = K^-1 (c0 G psi, f(a) - sum_k da_k/dt u_k),    K = (c0 G psi, c0 G psi).
 
-That is the least residual of the balance that pressures of these modes leave. The products are
+These b minimise the residual of the balance over all pressures of these modes. The products are
 those of the velocity. Like the rates, b is quadratic in a and affine in factors of the parameters.
 
 The remaining error is known in training runs. It may be added: by ridge regression on a
 (`sphrom.reduction.calibration`), or interpolated between the runs (`sphrom.reduction.correction`).
-`CANDIDATES` lists the combinations. Errors in training runs decide which of them a model uses: e
-with the fits to all runs, and h where a run is held out from the modes psi and from all fits.
-Parameters between training runs are nearer to these than held-out runs are to the others, by the
-factor s (`NEARER`). The expected squared error there is (1 - s^2) e^2 + s^2 h^2.
+`CANDIDATES` lists the combinations. Two errors in training runs decide which of them a model uses:
+e with the fits to all runs, and h if the run is held out from the modes psi and from all fits. The
+distance of a point between training runs from its neighbours is s times (`NEARER`) that of a
+held-out run. The expected squared error there is (1 - s^2) e^2 + s^2 h^2.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ CANDIDATES = (
 """The candidates, from simple to complex: the pressure of the model's modes, the same with own
 modes from the balance of momentum, each with additions from training runs, and own modes alone."""
 WIDER = 3
-"""Size of the space in which pressures are compared, relative to the number of own modes."""
+"""Dimension of the space in which pressures are compared, over the number of own modes."""
 NEGLIGIBLE = 1e-6
-"""Relative errors that differ by less are alike; smaller ones may be rounding."""
+"""Difference of relative errors that counts as none, because it may be rounding."""
 
 _OWN = "own pressure modes"
 _BY_PART = "by part of the rates; `walls.lid` is that of walls per unit of a parameter `lid`"
@@ -243,8 +243,8 @@ def choose(
     Parameters
     ----------
     runs : the training runs of the model, by number.
-    predicted : all training runs, by the number of the one that the others predict. Those have
-        the coordinates of full runs.
+    predicted : by the number of a held-out run, all training runs for a model that is fitted to
+        the others.
     places : (n_runs, n_parameters), scaled so that distances are comparable.
     """
     errors = np.full((len(CANDIDATES), len(places)), DIVERGED)

@@ -131,7 +131,7 @@ class ReferenceModel:
             share = np.ones((*correction.shape[:-1], 1))
             known = faded(np.concatenate((correction, share), axis=-1), times.n_snapshots)
             added = TimedLoads(times.time, known).at(time)
-            # Without what training runs add, the rest may be worse than no own modes.
+            # Without the addition from training runs, own modes may be worse than none.
             own = added[..., -1:] * own + added[..., :-1]
         return np.concatenate((coordinates, own), axis=-1)
 

@@ -9,11 +9,12 @@ within the support of the wall and 3e-5 elsewhere. Noise is damped to 0.6 in the
 and amplified by 1.2 in corners. Shepard interpolation is of first order there: the same layer has
 an error of 6e-2 at h = 2 dx, and of 0.12 at h = 4 dx.
 
-In full runs, the pressures of rows beside walls are high and low in turn, by a quarter of what the
-flow's own pressure varies in the worst case. A quadratic fit amplifies this to 3.4 times its size
-on the wall, a linear one to 1.4 times, and it halves noise. The density therefore has a share of a
-linear fit: all on the wall, and nothing where the wall is beyond the support or the flow has a
-surface. The error of a linear fit is up to 1.1 dx^2 times half the second derivative.
+In full runs, the pressures of rows beside walls are high and low in turn, in the worst case by a
+quarter of the variation of the flow's own pressure. On the wall, a quadratic fit amplifies this to
+3.4 times its size and a linear one to 1.4 times; the linear fit also halves noise. The density is
+therefore a mixture of both fits: linear on the wall, and quadratic where the wall is beyond the
+support or the flow has a surface. The error of a linear fit is up to 1.1 dx^2 times half the second
+derivative.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ class KnownArtifacts:
     """The artifacts that were written, in order."""
 
     def forget(self, path: Path) -> None:
-        """Forget what writing an artifact may have changed: its own state, and all invalid ones."""
+        """Forget the states that writing an artifact may change: its own, and all invalid ones."""
         for known, reason in list(self.reasons.items()):
             if reason is not None or known == path:
                 del self.reasons[known]

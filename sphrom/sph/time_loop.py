@@ -138,7 +138,7 @@ def march(
     begin: RunState | None = None,
     reached: Callable[[RunState, TimeSteps], None] = lambda run_state, steps: None,
 ) -> Iterator[tuple[int, Array]]:
-    """Take all steps of a run, and yield number and state of those that are stored.
+    """Take all steps of a run, and yield the numbers and states of stored snapshots.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ from sphrom.whole_files import explained, write_whole
 FEWER = 4
 """Factor that reduces the number of processes after one was lost."""
 MOST_AHEAD = 4
-"""Most processes that compile ahead: more would wait for each other."""
+"""Largest number of processes that compile ahead; more would wait for each other."""
 CLEANING = 10.0
 """Time for a process to clean up before it is killed [s]."""
 PATIENCE = 15.0
@@ -236,10 +236,10 @@ class Workers:
 
 @contextmanager
 def compiled_ahead() -> Iterator[None]:
-    """Within the block, once a kernel must be compiled, processes compile those needed later.
+    """Let other processes compile kernels that are needed later, in a block.
 
-    There are as many as threads, and none beside a single thread. They end when all is compiled, or
-    with the block.
+    They start when the block first has to compile a kernel, one for each thread but at most
+    `MOST_AHEAD`, and none if there is a single thread. They end with their work or with the block.
     """
     with ExitStack() as block:
 

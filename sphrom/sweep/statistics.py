@@ -233,7 +233,7 @@ def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndice
     names = case.plan.parameter_names
 
     def of_all(values: Array) -> Array:
-        """Return rows for all parameters, with zeros for those that are not drawn."""
+        """Return rows for all parameters, with zeros for parameters that are not drawn."""
         rows = np.zeros((*values.shape[:-2], len(names), values.shape[-1]))
         rows[..., [names.index(name) for name in drawn], :] = values
         return rows

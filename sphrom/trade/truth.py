@@ -44,7 +44,7 @@ class Truth:
 
 
 class Truths:
-    """The full runs to compare with; those that are missing are made."""
+    """The full runs to compare with; missing ones are made."""
 
     def __init__(self, context: StageContext, grid: Array) -> None:
         self._context = context

@@ -90,8 +90,8 @@ def test_values_that_another_program_changed_are_refused_however_they_are_read(
         with h5py.File(path, "r+") as file:
             file["velocity"][...] = change(file["velocity"][...])
         if write is write_trajectory:
-            assert refusal(path) == "is damaged: velocity is not what was written"
-        refused_however_read(path, "velocity", "is not what was written")
+            assert refusal(path) == "is damaged: velocity has changed since it was written"
+        refused_however_read(path, "velocity", "has changed since it was written")
         path.unlink()
 
 
@@ -110,7 +110,7 @@ def attribute_in_latin_1(item: h5py.HLObject) -> None:
         (lambda file: file.attrs.__setitem__("sound_speed", 11.0), "its digest does not match"),
         (lambda file: file.attrs.__delitem__("uuid"), "attribute uuid is missing"),
         (lambda file: file.__delitem__("pressure"), "its digest does not match"),
-        (lambda file: file["case"].__setitem__((), b"name: other"), "the stored case is not"),
+        (lambda file: file["case"].__setitem__((), b"name: other"), "the stored case has changed"),
         (lambda file: attribute_in_latin_1(file), "its digest does not match"),
         # Two names for one thing.
         (lambda file: file.__setitem__("parameters/again", file["/"]), "its digest"),
@@ -137,7 +137,10 @@ def dataset(**given: object):
     ("replace", "reason"),
     [
         (dataset(data=["a", "b"]), "not plain numbers"),
-        (dataset(shape=(10**6, 10**6), dtype="f8", chunks=(1, 1000)), "is not what was written"),
+        (
+            dataset(shape=(10**6, 10**6), dtype="f8", chunks=(1, 1000)),
+            "has changed since it was written",
+        ),
         (dataset(data=np.zeros((3, 5)), compression="gzip"), "changed by a filter"),
         (dataset(shape=(3, 5), dtype="f8", external=[("o.h5", 0, 120)]), "in another file"),
         (lambda file: file.create_virtual_dataset("pressure", elsewhere()), "in another file"),

@@ -123,7 +123,7 @@ def test_file_that_changes_after_it_was_verified_is_verified_again(
     os.utime(path, (0, 0))
     with (
         open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact,
-        pytest.raises(ArtifactError, match="velocity is not what was written"),
+        pytest.raises(ArtifactError, match="velocity has changed since it was written"),
     ):
         artifact.dataset("velocity")[0]
 

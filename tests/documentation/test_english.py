@@ -16,19 +16,21 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-CODE = re.compile(r"```.*?```|\$\$.*?\$\$|`[^`]*`|\$[^$\n]*\$|\]\([^)]*\)|^#+ .*?$", re.S | re.M)
+CODE = re.compile(
+    r"```.*?```|\$\$.*?\$\$|`[^`]*`|\$[^$\n]*\$|\]\([^)]*\)|^#+ .*?$|^\([\w-]+\)=$", re.S | re.M
+)
 QUOTES = re.compile(r"^[rfbu]*[\"']+|[\"']+$|^#+")
 KINDS = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
 ASKING = (
     "says?|said|sees?|saw|shows?|know|knows|known|tells?|told|asks?|explains?|describes?|about|on"
 )
 CEILINGS = {
-    ("sphrom", "what"): 15,
-    ("docs", "what"): 5,
-    ("sphrom", "those that"): 11,
-    ("docs", "those that"): 2,
+    ("sphrom", "what"): 0,
+    ("docs", "what"): 0,
+    ("sphrom", "those that"): 6,
+    ("docs", "those that"): 0,
 }
-"""Matches that are left in each folder. The goal is 60 of "what" in all."""
+"""Matches that are left in each folder."""
 HEADLESS = {
     "what": re.compile(rf"(?<!\w)(?:(?:{ASKING}) what|(what))\b", re.IGNORECASE),
     "those that": re.compile(r"\b(those that)\b", re.IGNORECASE),

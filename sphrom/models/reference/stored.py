@@ -1,6 +1,6 @@
 """The bases and splines of modes in their artifacts.
 
-Modes are orthonormal, so the coordinates in fewer modes are the first of those that are stored.
+Modes are orthonormal, so the coordinates in fewer modes are the first stored ones.
 """
 
 from __future__ import annotations

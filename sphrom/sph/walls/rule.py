@@ -153,7 +153,7 @@ class WallRule(ABC):
             if self._full_weights is not None:
                 row = self.discretization.particle_spacing * np.hypot(*force).max(initial=0.0)
                 share = self._below_surface(weights, head / max(row, TINY))
-                # What falls has no such head, which would pull it to the wall.
+                # Falling fluid has no such head, which would pull it to the wall.
                 fluctuation = np.maximum(fluctuation, np.minimum(without_head, 0.0))
         volume = share * volume_of(fluctuation, self.fluid.reference_density, self._mass)
         ghost = np.zeros((fields.N_GHOST_ROWS, fluctuation.size))
