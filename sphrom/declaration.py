@@ -333,7 +333,7 @@ PROVENANCE = (
     Field("date", "text", "", "when writing began, UTC"),
     Field("machine", "text", "", "number of cores of the machine"),
     Field("case_sha256", "text", "", "digest of the resolved case"),
-    Field("inputs_sha256", "text", "", "digest of the part of the case that matters here"),
+    Field("inputs_sha256", "text", "", "digest of the part of the case that affects this file"),
     Field("wall_seconds", "float", "s", "time from opening to closing the artifact"),
     Field("threads", "int", "", "threads that the stage used"),
     Field("content_sha256", "text", "", "digest of the datasets and attributes"),

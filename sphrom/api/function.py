@@ -199,7 +199,7 @@ class Function:
         return self._figures(run.time, self._measured(run))
 
     def _slopes(self, row: Array) -> Array:
-        """Return the derivatives (n_outputs, n_inputs) by the model's equations."""
+        """Return the derivatives (n_outputs, n_inputs) from the model's equations."""
         (run,) = self._runs(self._named(row[None]))
         if run.failure is not None:
             raise run.failure
@@ -218,7 +218,7 @@ class Function:
         return np.stack(columns, axis=1)
 
     def _differences(self, row: Array) -> Array:
-        """Return the derivatives by runs at slightly different values in the trained ranges."""
+        """Return the derivatives from runs at slightly different values in the trained ranges."""
         columns = []
         for k, (low, high) in enumerate(self.bounds):
             ends = np.tile(row, (2, 1))

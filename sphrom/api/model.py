@@ -168,7 +168,7 @@ class Model:
         Parameters
         ----------
         points : values (n_runs,) by parameter, in a dictionary, or a table of pandas or xarray; a
-            single number applies to all runs. Others have the values of this model.
+            single number applies to all runs. Other parameters have the values of this model.
 
         Returns
         -------
@@ -225,7 +225,7 @@ class Model:
     def sensitivities(
         self, *names: str, final_time: float | None = None, step_factor: float = 1.0
     ) -> Sensitivities:
-        """Run the model, and compute the derivatives of the run by parameters.
+        """Run the model, and compute derivatives of the run with respect to parameters.
 
         The derivatives follow from the model's equations, ds/dt = J s + df/dp, with the same
         exponential steps as the run, at the cost of about two runs per parameter. In cases with a
@@ -319,7 +319,8 @@ class Model:
     def jacobian(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the derivative (n_modes, n_modes) [1/s] of the rates at coordinates (n_modes,).
 
-        Entry (i, j) is the derivative of rate i by coordinate j. Parameters are those of `rates`.
+        Entry (i, j) is the derivative of rate i with respect to coordinate j. Parameters are those
+        of `rates`.
         """
         reduced, state, amplitude, _ = self._at("jacobian", coordinates, time)
         return reduced.polynomial.jacobian(state, amplitude)

@@ -182,8 +182,8 @@ class Study:
 def load(path: str | os.PathLike[str]) -> Model:
     """Open a trained model from its artifact, such as `model-fast.h5`, and nothing else.
 
-    The file contains all that runs need at any parameters: no case, full run, basis or operators
-    are read. The model is at the parameter values of the first training run; `at` changes them.
+    The file has the data for runs at any parameters: no case, full run, basis or operators are
+    read. The model is at the parameter values of the first training run; `at` changes them.
 
         sphrom.load("model-fast.h5").at(reynolds=137).run()
 

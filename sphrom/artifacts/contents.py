@@ -1,8 +1,8 @@
 """The structure of an HDF5 file, listed before anything in it is used.
 
 A file may be damaged or foreign. Only groups, plain numbers and, in `/case`, one text are allowed.
-Refused are objects that Python would construct, links that lead out of the file, data stored
-elsewhere, and all filters except the checksum, because HDF5 would load and run a plugin for an
+Objects that Python would construct, links that lead out of the file and data stored elsewhere are
+refused. So are all filters except the checksum, because HDF5 would load and run a plugin for an
 unknown filter.
 
 Objects are those of HDF5 itself, because those of h5py take several times as long to make.
@@ -62,7 +62,7 @@ def damage(part: str) -> Iterator[None]:
 
 
 def open_file(path: Path) -> h5py.File:
-    """Open a regular HDF5 file for reading. Raises Fault, or ArtifactError if it may be whole."""
+    """Open a regular HDF5 file. Raises ArtifactError if it is marked as open, else Fault."""
     try:
         if not path.is_file():  # opening a pipe would block
             raise Fault("is not a file" if path.exists() else "is missing")

@@ -76,7 +76,7 @@ def _check_reynolds(case: Case) -> Found:
         return
     for key, points in named.items():
         if any(REYNOLDS not in names for names in points):
-            yield f"{key}.{REYNOLDS}", "is missing, and training runs have several; give it"
+            yield f"{key}.{REYNOLDS}", "is missing, and training runs have several values; give one"
 
 
 def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], Collection[str]]]:

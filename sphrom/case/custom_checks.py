@@ -111,7 +111,7 @@ def parameter_problems(scene: CustomScene, names: Collection[str]) -> Found:
                 yield name, f"{key} reads a history at times that depend on it"
     for name in varied:
         if name in (*scene.walls, BODY_FORCE, INFLOW):
-            yield name, "is a constant's name and a wall's or the force's; rename the constant"
+            yield name, "is the name of a constant and of a wall or force; rename the constant"
     # A push has no parameter that multiplies its field.
     factors = (*driving.walls, *[""] * len(driving.pushes))
     for factor, drive in zip(factors, driving.drives, strict=True):
@@ -142,9 +142,9 @@ def unknown_times(scene: CustomScene, final_time: float) -> Found:
 def problems(scene: CustomScene, final_time: float, fluid: Fluid) -> Found:
     """Refuse a driving that isn't finite at all times, and an inflow that ramps too long.
 
-    Also speeds near that of sound, and an initial velocity through a wall. Of several values of
-    the parameters, the first with a problem is refused. Driving can't be evaluated at times that
-    a history does not contain.
+    Speeds near that of sound, and an initial velocity through a wall, are refused too. If several
+    values of the parameters have a problem, the first is refused. Driving can't be evaluated at
+    times that a history does not contain.
     """
     if found := list(unknown_times(scene, final_time)):
         yield from found

@@ -154,7 +154,7 @@ def _of_histories(case: Case) -> Iterator[str]:
             )
         elif interval < plan.steps.time_step * (1.0 - ROUNDING):
             yield (
-                f"{rows}, but runs use values at steps of {plan.steps.time_step:.3g} s alone; "
+                f"{rows}, but runs read values only every {plan.steps.time_step:.3g} s; "
                 "average its rows, or set time.step"
             )
 

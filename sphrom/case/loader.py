@@ -52,8 +52,8 @@ def load_case(
 
     Parameters
     ----------
-    overrides : changed keys, as texts `path.to.key=value`, or as values by a name that `key_named`
-        accepts; they are checked like those of the file.
+    overrides : changed keys, as texts `path.to.key=value` or as a mapping from names (`key_named`)
+        to values; they are checked like the keys of the file.
     force : accept a time step above its limits.
 
     Raises CaseError with one line per problem: file, line, key, and the allowed values.

@@ -51,7 +51,7 @@ class MeasureSection(Section):
     @property
     @abstractmethod
     def since(self) -> float | None:
-        """The time from which statistics count [s], if the case gives one."""
+        """The time from which statistics are computed [s], if the case gives one."""
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -87,7 +87,7 @@ class RecordedMeasure(MeasureSection):
 
     @property
     def of_runs(self) -> Self:
-        """The measurement without the keys that change figures alone, not runs."""
+        """The measurement without the keys that affect figures but not runs."""
         return self.model_copy(update={"from_time": None})
 
 
@@ -108,8 +108,8 @@ class ForceMeasure(RecordedMeasure):
 
     force_on: SafeName = key(
         ...,
-        "wall: its force, and its torque about its centroid; for a side, the box's centre; in "
-        "three dimensions the force alone",
+        "wall: the force on it and the torque about its centroid, for a side of the box about the "
+        "box's centre; in three dimensions only the force",
     )
     coefficient: CoefficientSection | None = key(
         None, "scales of the force's coefficient, which is then measured too"
@@ -194,9 +194,9 @@ class FlowRateMeasure(FieldsMeasure):
 
     flow_rate: SegmentSection = key(
         ...,
-        "segment: the flow rate through it, positive from its left to its right side; a segment "
-        "that goes up counts flow along x as positive; in three dimensions opposite corners of a "
-        "rectangle perpendicular to an axis: the flow rate along this axis",
+        "segment: the flow rate through it, positive from its left to its right side, so for a "
+        "segment that goes up, flow along x is positive; in three dimensions opposite corners of a "
+        "rectangle perpendicular to an axis, through which the flow rate is along this axis",
     )
 
     def fields(self, particle_spacing: float) -> FieldMeasure:
@@ -320,8 +320,8 @@ class FluidMeasure(SurfaceMeasure):
 
     of_fluid: Literal["centre_of_mass", "energy"] = key(
         ...,
-        "fluid with a free surface: its centre of mass, or its kinetic and potential energy, zero "
-        "at rest (in a shape without level: at the floor)",
+        "fluid with a free surface: its centre of mass, or its kinetic and potential energy; the "
+        "latter is zero at rest, or for a shape without level at the floor",
     )
 
     @property

@@ -216,15 +216,15 @@ class PointModelSection(ProjectedModelSection):
     )
     corrected: Flag | Literal["auto"] = key(
         AUTO,
-        "whether to correct its coordinates by its errors at training runs, interpolated and "
-        "weighted by how well they predict the errors of held-out training runs, for evaluation: "
-        "operators; auto does so if its basis has two or more training runs",
+        "whether to correct its coordinates by its errors in training runs, which are interpolated "
+        "as far as they predict the errors of held-out runs, for evaluation: operators; auto does "
+        "so if its basis has two or more training runs",
     )
     integrated_modes: Annotated[Whole, Field(ge=1, le=10_000)] | Literal["auto"] = key(
         AUTO,
-        "number of leading modes to integrate; these predict the other modes during the trained "
-        "time, for corrected models with evaluation: operators. auto chooses the number that "
-        "predicts held-out training runs best, and all modes without calibration",
+        "number of leading modes to integrate; training runs predict the other modes during the "
+        "trained time, for corrected models with evaluation: operators. auto chooses the number "
+        "with the best predictions of held-out runs, and all modes without calibration",
     )
     output: Literal["none", "snapshots"] = key(
         "none",

@@ -78,7 +78,7 @@ class PointsPlan:
         named = values if isinstance(values, dict) else {REYNOLDS: values}
         known = {**(self.usual_values if usual is None else usual), **named}
         if REYNOLDS not in known:
-            missing = f"{REYNOLDS}: is missing, and training runs have several"
+            missing = f"{REYNOLDS}: is missing, and training runs have several values"
             raise CaseError(f"{missing}; give its value, such as {REYNOLDS}=100")
         reynolds, *others = [float(known.get(name, 0.0)) for name in self.parameter_names]
         names = self.parameter_names[1:]
@@ -86,7 +86,7 @@ class PointsPlan:
 
     @cached_property
     def train_points(self) -> tuple[ParameterPoint, ...]:
-        """The points of training runs; they have the scene's own values of unnamed parameters."""
+        """The points of training runs; parameters that they don't name have the scene's values."""
         rows = self._case.parameters.train.values
         return tuple(self.point(row, self.own_values) for row in rows)
 

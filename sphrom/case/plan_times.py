@@ -149,7 +149,7 @@ class TimesPlan(FlowsPlan):
         late = sorted({t for t in self.means_from.values() if t > 0.0})
         names = {t: ", ".join(n for n, s in self.means_from.items() if s == t) for t in late}
         times = " and ".join(f"from {t:.4g} s on ({names[t]})" for t in late)
-        return times and f"means and errors of measurements count {times}"
+        return times and f"means and errors of measurements are computed {times}"
 
     def counted(self, name: str, time: Array) -> Mask:
         """Return the mask of the times (n_snapshots,) [s] for statistics of a measurement."""

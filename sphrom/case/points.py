@@ -76,7 +76,7 @@ def nearest_point(point: ParameterPoint, known: Iterable[ParameterPoint]) -> Par
 
 
 def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[str, str]:
-    """Return the trained ranges of the parameters in which a point is outside."""
+    """Return the trained ranges that a point is outside of."""
     points, ranges = [other.as_dict() for other in trained], {}
     for name, value in point.as_dict().items():
         low = min(p[name] for p in points)
@@ -93,7 +93,7 @@ DIGITS = 6
 
 ReynoldsValues = Annotated[tuple[Positive, ...], Field(min_length=1)]
 REYNOLDS_WORDS = (
-    "Reynolds numbers U_max L / nu, with L the scene's length, for the open cavity its cavity's"
+    "Reynolds numbers U_max L / nu, with the scene's length L, for the open cavity the cavity's"
 )
 OtherValues = Annotated[tuple[Coordinate, ...], Field(min_length=1)]
 

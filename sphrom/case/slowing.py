@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Slowing:
-    """The resistance to the fluid of a scene, from its expression, porous bodies and strip.
+    """The resistance in a scene, from its expression, porous bodies and strip.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ NOT_IN_SPACE = ("solids", "terms", "fluid", "resistance", "porous", "inflow")
 def check_axes(scene: CustomScene) -> None:
     """Raise ValueError unless vectors have a component for each axis of the box.
 
-    Also if a three-dimensional box has keys that are only for two dimensions.
+    A three-dimensional box with keys that are only for two dimensions is refused too.
     """
     n_axes = len(scene.axes)
     if "z" in scene.box.periodic and n_axes == 2:

@@ -173,7 +173,7 @@ class Box:
         return (value - low) / (high - low)
 
     def slopes(self, place: Array) -> Array:
-        """Return the derivatives (n_free,) of the free values by their coordinates."""
+        """Return the derivatives (n_free,) of the values with respect to their coordinates."""
         values = self.values(place)
         ends = self.ranges.items()
         return np.array(

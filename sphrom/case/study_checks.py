@@ -90,7 +90,7 @@ def check_sweep(case: Case) -> Found:
         thickest = min(points, key=lambda point: point.reynolds)
         limit = case.plan.step_limits(thickest).viscous
         if steps.time_step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
-            reason = f"is stable with steps below {limit:.4g} s only, and full runs of this case"
+            reason = f"is stable only with steps below {limit:.4g} s, and full runs of this case"
             remedy = "lower time.step, or list it in parameters.test"
             took = f"take steps of {steps.time_step:.4g} s"
             yield "sweep.reynolds", f"{thickest.label} {reason} {took}: {remedy}"

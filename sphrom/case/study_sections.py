@@ -58,7 +58,7 @@ class TradeSection(Section):
         None, "resolutions of further full runs; null is the case's, and half of it if possible"
     )
     probes: Literal["line", "field"] = key(
-        "field", "points of the relative L2 error over points and time that ranks the models"
+        "field", "points at which the error that ranks the models is computed, a relative L2 norm"
     )
     measure: SafeName | None = key(
         None,

@@ -1,4 +1,4 @@
-"""Whether training runs of a shaken tank have waves as steep as the runs asked of models."""
+"""Whether training runs of a shaken tank have waves as steep as the runs of models."""
 
 from __future__ import annotations
 

@@ -242,7 +242,7 @@ def _sentence(text: str) -> str:
 
 
 def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
-    """Return the answer of a comparison, None if no model ran to its end."""
+    """Return the answer of a comparison, None if no model completed a run."""
     case = workspace.case
     plan = case.plan
     model = next(iter(_by_preference(case, tables)), None)
@@ -313,7 +313,7 @@ def _judged(compared: Sequence[tuple[Pair, ErrorRow]]) -> list[tuple[Pair, Error
 
 
 def _by_preference(case: Case, tables: Tables) -> list[ReducedModelSection]:
-    """Return the models that ran to their end, the recommended one first."""
+    """Return the models that completed their runs, the recommended one first."""
     errors = dict[str, float]()
     least = dict[bool, float]()
     failed = {row.compared for row in tables.errors if row.status != "complete"}
@@ -343,8 +343,8 @@ def _unphysical(workspace: Workspace) -> Iterator[str]:
     for point in workspace.case.plan.points:
         if found := workspace.unphysical(point):
             yield (
-                f"The full run at {point.label} is unphysical, so errors against it do not judge a "
-                f"model: {'; '.join(found)}."
+                f"The full run at {point.label} is unphysical, so errors against it say "
+                f"nothing about a model: {'; '.join(found)}."
             )
 
 

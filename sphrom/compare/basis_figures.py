@@ -76,7 +76,7 @@ def draw_spectrum(
 ) -> Figure:
     """Draw singular values, and the shares of the omitted ones (Eq. 4.3) over the mode number.
 
-    `marked` numbers of modes have a line and, with `with_shares`, their shares in the legend.
+    Numbers of modes in `marked` get a line and, with `with_shares`, an entry in the legend.
     """
     ratios = []
     omitted = []

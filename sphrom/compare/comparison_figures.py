@@ -82,8 +82,8 @@ def remove_figures(workspace: Workspace, kept: Collection[Path] = ()) -> None:
 def draw_comparison(workspace: Workspace, tables: Tables, most: int | None = None) -> None:
     """Draw the missing figures of a comparison into the folder `plots`.
 
-    With `most`, these are only so many figures, the most telling ones at one point, which is a
-    predicted one if there is one.
+    With `most`, at most that many figures are drawn: the most telling ones at one point, preferably
+    a predicted one.
     """
     folder = workspace.folder(PLOTS)
     with StoredComparison.of(workspace) as stored:

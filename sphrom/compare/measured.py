@@ -114,7 +114,7 @@ def measure_rows(
 ) -> Iterator[MeasureRow]:
     """Yield the rows of a run beside the full run at times (n_snapshots,) [s].
 
-    `from_time` returns the first time that counts [s], by measurement. `described` are other fields
+    `from_time` returns the `from_time` of a measurement [s]. `described` are other fields
     of the rows. Estimated errors are root mean squares over time (...), by measurement and
     quantity. With `with_weight`, errors of pressures are not relative to their hydrostatic part.
     `averages` are weights of an average over snapshots without sound.

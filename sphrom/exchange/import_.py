@@ -31,7 +31,7 @@ from sphrom.text import shortened
 
 
 def run(context: StageContext, files: Sequence[Path], fields: ImportOptions) -> list[str]:
-    """Write the full run at one point from files; return the points that still have none.
+    """Write the full run at one point from files; return the points that still lack a run.
 
     Raises CaseError when options or the case do not fit the files, with a fitting value;
     ArtifactError when a file is missing, damaged, unsafe or lacks a field, when the number of

@@ -55,8 +55,8 @@ class ImportOptions:
         str | None,
         _option(
             "A,B",
-            "As many fields. [default: u,v, or velocity.x,velocity.y; in three dimensions "
-            "with w or z]",
+            "The fields of the velocity. [default: u,v, or velocity.x,velocity.y; in three "
+            "dimensions with w or z]",
         ),
     ] = None
     density: Annotated[str | None, _option("NAME", "Density.  [default: rho]")] = None

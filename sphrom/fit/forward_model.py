@@ -119,7 +119,7 @@ class FittedModel:
         return self.at_instants(time, values), self.at_instants(time, slopes)
 
     def over_time(self, place: Array) -> tuple[Array, Array, Array] | None:
-        """Return the histories at all snapshots, and their derivatives by the place.
+        """Return the histories at all snapshots, and their derivatives with respect to the place.
 
         Times are (n_snapshots,), histories (n_snapshots, n_histories) and derivatives
         (n_snapshots, n_histories, n_free). Returns None if the run is unstable or has no frequency.

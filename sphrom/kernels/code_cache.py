@@ -119,7 +119,7 @@ def _warn_of(folder: Path | None, error: Exception) -> None:
     where = "" if folder is None else f" in {folder}"
     reason = getattr(error, "strerror", None) or str(error).rstrip(".")
     warnings.warn(
-        f"compiled kernels can't be kept{where}: {reason}; every command compiles them anew; "
+        f"compiled kernels can't be kept{where}: {reason}; every command compiles them again; "
         f"choose another folder with {VARIABLES[0]}",
         CodeCacheWarning,
         stacklevel=1,

@@ -65,8 +65,8 @@ def integrate(
     Parameters
     ----------
     coefficients, used : of the rest, as in `sphrom.kernels.polynomial`.
-    by_amplitude : derivative of the coefficients by the amplitude, in the same shape.
-    by_parameter : (n_parameters, ...) derivatives of the coefficients by each parameter.
+    by_amplitude : derivative of the coefficients with respect to the amplitude, same shape.
+    by_parameter : (n_parameters, ...) derivatives of the coefficients for each parameter.
     amplitudes : (2 n_steps + 1,), or (3,) of any values without an amplitude.
     amplitude_changes : (n_parameters, same length) derivatives of the amplitudes.
     stages, links, ends : the matrices of steps, as in `sphrom.kernels.exponential`.

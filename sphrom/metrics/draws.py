@@ -107,12 +107,12 @@ class OutputStatistics(Record):
     )
     quantiles: Array = dataset("level instant", "of the output", "quantiles of the runs")
     sampling_interval: Array = dataset(
-        "end level instant", "of the output", "95 % intervals of the quantiles, by sampling alone"
+        "end level instant", "of the output", "95 % intervals of the quantiles, from sampling alone"
     )
     interval: Array = dataset(
         "end level instant",
         "of the output",
-        "intervals of the quantiles, by sampling and the model's estimated error",
+        "intervals of the quantiles, from sampling and the model's estimated error",
     )
     error_share: Array | None = dataset(
         "instant",
@@ -123,20 +123,24 @@ class OutputStatistics(Record):
     unit: str = attribute("", "unit of the output")
     along: Along = attribute("", "meaning of the instants: snapshots, places, or one time average")
     model_error: Literal["estimated", "unknown"] = attribute(
-        "", "whether intervals include the model's error, or none is known for this output"
+        "", "whether the model's error is known, so that intervals include it"
     )
 
 
 class OutputIndices(Record):
     """Sobol indices of an output, by parameter; zero if the output does not vary."""
 
-    first: Array = dataset("parameter instant", "1", "share of the variance by it alone", "S")
-    first_interval: Array = dataset(
-        "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
+    first: Array = dataset(
+        "parameter instant", "1", "share of the variance due to the parameter alone", "S"
     )
-    total: Array = dataset("parameter instant", "1", "share that it contributes to", "T")
+    first_interval: Array = dataset(
+        "end parameter instant", "1", "low and high end of its 95 % interval, by a bootstrap"
+    )
+    total: Array = dataset(
+        "parameter instant", "1", "share of the variance to which the parameter contributes", "T"
+    )
     total_interval: Array = dataset(
-        "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
+        "end parameter instant", "1", "low and high end of its 95 % interval, by a bootstrap"
     )
 
 

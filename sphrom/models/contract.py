@@ -2,7 +2,7 @@
 
 A family makes its models in stages (map, basis, splines, training), and opens them. Users of models
 ask for an `Ability`, and `Family.require` refuses by name each one that a family lacks; nothing
-outside of a family's room depends on the kind of a model. The plan of a case names the family of
+outside of a family's package depends on the kind of a model. The plan of a case names the family of
 its models, and `FAMILIES` is the list of all.
 """
 
@@ -54,7 +54,7 @@ class Ability(Enum):
     RUNS_ALONE = "runs in memory, from coordinates"
     OTHER_TIMES = "runs with other final times"
     EQUATIONS = "equations of its coordinates, with rates and steady states"
-    SENSITIVITIES = "derivatives of its runs by parameters"
+    SENSITIVITIES = "derivatives of its runs with respect to parameters"
     TRAINING = "estimates of errors, from which training runs are chosen"
     EXTREMES = "maps of the ranges in which it is stable"
     MEMORY = "closures with a memory length"
@@ -82,7 +82,7 @@ def best_name(basis: str, n_modes: int) -> str:
 
 @dataclass(frozen=True)
 class Family:
-    """A family of reduced models, by the functions of its room."""
+    """A family of reduced models, by the functions of its package."""
 
     kind: str
     """Its name in maps of the extremes."""
@@ -275,7 +275,7 @@ class Model(ABC, Generic[At]):
     def tangents(
         self, point: ParameterPoint, names: Sequence[str], reduced: At, step_factor: float = 1.0
     ) -> Tangents:
-        """Return the derivatives of a run by some parameters, in steps longer by a factor.
+        """Return derivatives with respect to some parameters, in steps longer by a factor.
 
         Only families with the ability SENSITIVITIES have it.
         """
@@ -388,8 +388,8 @@ class ModelRun(ABC):
     def measured_sizes(self) -> dict[str, Pair]:
         """Mean squares of these errors, and of the change in the run, by column of a table.
 
-        Columns are such as `drag_force_x`, and for vectors `drag_force`. Only the times that count
-        enter. The second is zero for components with only noise.
+        Columns are such as `drag_force_x`, and for vectors `drag_force`. Only times since
+        `from_time` are used. The second is zero for components with only noise.
         """
         found: dict[str, Pair] = {}
         plan = self.model.workspace.case.plan

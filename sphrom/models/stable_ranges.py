@@ -70,11 +70,11 @@ class StableRange:
         stable, right = (self.stable_from, self.stable_to), (self.right_from, self.right_to)
         for verb, (low, high) in {"stable": stable, "right": right}.items():
             if low is None or high is None:
-                return f"by its map it is {verb} {self._span(low, high)}"
+                return f"according to its map it is {verb} {self._span(low, high)}"
             if not low * (1.0 - ROUNDING) <= value <= high * (1.0 + ROUNDING):
                 cause = self.below if value < low else self.above
                 tried = f"; beyond: {cause}" if cause else ", and was not tried beyond"
-                return f"by its map it is {verb} {self._span(low, high)}{tried}"
+                return f"according to its map it is {verb} {self._span(low, high)}{tried}"
         return ""
 
 
@@ -94,7 +94,7 @@ def stable_ranges(workspace: Workspace) -> list[StableRange]:
 def against(
     workspace: Workspace, section: ReducedModelSection, point: ParameterPoint
 ) -> Iterator[str]:
-    """Yield the objections of maps to a run of a model at a parameter point."""
+    """Yield the warnings of maps about a run of a model at a parameter point."""
     plan = workspace.case.plan
     n_modes = section.n_modes
     if not (ranges := stable_ranges(workspace)):

@@ -27,7 +27,7 @@ from sphrom.store.trajectory import read_quantities, snapshot_fields
 from sphrom.store.workspace import Workspace
 
 OWN_PRESSURE = "pressure_coordinates"
-"""The coordinates of own pressure modes in a run's artifact, if its model has any."""
+"""The coordinates of separate pressure modes in a run's artifact, if its model has any."""
 
 
 class StoredRun:

@@ -208,8 +208,8 @@ def _entries(
 ) -> list[tuple[int, float, Array, Array]]:
     """Return target, correlation length, places and values of each corrected number.
 
-    The numbers are the coordinates, those of own pressure modes, and the loads, whose `rows` belong
-    to one force each.
+    The numbers are the coordinates, those of separate pressure modes, and the loads, whose `rows`
+    belong to one force each.
     """
     n_modes = found["n_modes"]
     firsts = np.cumsum([n_modes + found["n_own"], *rows]).tolist()

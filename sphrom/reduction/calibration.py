@@ -85,7 +85,7 @@ class Calibration(Record):
     """Zero if all runs had the same viscosity."""
     mean_viscosity: float = attribute("m2/s", "mean viscosity of the training runs")
     energy: float | None = attribute(
-        "1", "factor of |a|^2 on the constant rates of flows without driving", default=None
+        "1", "factor of |a|^2 that multiplies the constant rates of undriven flows", default=None
     )
     others: Mapping[str, Slope] = part(default_factory=dict)
     """The slopes in the other parameters, by name."""

@@ -149,8 +149,8 @@ def _spectrum(
         raise ValueError(f"basis {name!r}: its snapshots are zero: does anything drive the flow?")
     if n_modes > rank:
         raise ValueError(
-            f"basis {name!r}: {n_modes} modes asked for, but its snapshots are of numerical rank "
-            f"{rank}: ask for at most {rank} modes or store more snapshots"
+            f"basis {name!r}: {n_modes} modes requested, but its snapshots have the numerical rank "
+            f"{rank}: request at most {rank} modes or store more snapshots"
         )
     right = right[:rank]
     strongest = np.take_along_axis(right, np.abs(right).argmax(axis=1)[:, None], axis=1)

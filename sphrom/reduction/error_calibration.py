@@ -55,10 +55,16 @@ class ChangeShares(Record):
     """The shares of changes that a basis misses, of velocity and q: see `UnheldShares`."""
 
     parameters: Array = dataset(
-        "field", "m/s over the inner product's", "share of changes with the parameters", "s_p"
+        "field",
+        "m/s over the inner product's",
+        "missed share of changes with the parameters",
+        "s_p",
     )
     time: Array = dataset(
-        "estimated_run field", "m/s over the inner product's", "share of changes with time", "s_t"
+        "estimated_run field",
+        "m/s over the inner product's",
+        "missed share of changes over time",
+        "s_t",
     )
 
 
@@ -69,7 +75,7 @@ class ErrorCalibration(Record):
     constants: Array = dataset(
         "estimated_run field",
         "m/s over the inner product's",
-        "error over the residual's integral",
+        "error divided by the residual's integral with decay",
         "C_k",
     )
     factors: Array = dataset(

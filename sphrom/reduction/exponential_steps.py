@@ -212,14 +212,14 @@ class ExponentialModel(PolynomialModel):
         changes: Sequence[Change],
         amplitude: Amplitude | None = None,
     ) -> tuple[Array, Array]:
-        """Return the run from coordinates (n_modes,) and its derivatives by each parameter.
+        """Return the run from coordinates (n_modes,) and its derivatives for each parameter.
 
         The derivatives (n_parameters, n_snapshots, n_modes) are the exact ones of the discrete
         steps. They are NaN or infinite where the run diverges.
 
         Parameters
         ----------
-        changes : derivative of the system by each parameter.
+        changes : derivative of the system with respect to each parameter.
         amplitude : None if it is zero at all times and for all parameters.
         """
         from sphrom.kernels import tangent  # few commands need it

@@ -56,7 +56,7 @@ REASONS = {
 
 @dataclass(frozen=True)
 class GraphRun:
-    """A run of a model; where it ended early, up to its last snapshot before."""
+    """A run of a model; if it ended early, up to its last snapshot."""
 
     times: Array
     coordinates: Array
@@ -130,7 +130,7 @@ class GraphModel:
         return out
 
     def velocity(self, coordinates: Array, points: Array) -> Array:
-        """Return velocities (..., n_points, 2) [m/s] at points [m], the same or own ones a time."""
+        """Return velocities (..., n_points, 2) [m/s] at points [m], which may differ by time."""
         stream = coordinates[..., : len(self.basis.stream_modes)] @ self.basis.stream_modes
         if points.ndim == 2:
             return self.basis.space.velocity(stream, points)

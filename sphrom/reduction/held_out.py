@@ -41,9 +41,9 @@ from sphrom.reduction.trial_basis import TrialBasis
 
 OF_FIELDS = ", of velocity and of c0 rho'/rho0 minus its mean"
 _UNHELD = (
-    "root mean square error of the best approximation over the change {}, of training snapshots "
-    "left out of a basis of 1, 2, ... modes; of the velocity, then of c0 rho'/rho0 minus its mean, "
-    "then of the same in as many modes of its own"
+    "root mean square error of the best approximation of training snapshots that are left out of a "
+    "basis of 1, 2, ... modes, divided by the change {}: for the velocity, for c0 rho'/rho0 minus "
+    "its mean, and for the latter in as many separate modes"
 )
 
 ROUNDING = 1e-13
@@ -112,7 +112,7 @@ class FieldProducts(Record):
     )  # fmt: skip
     projections: Array = dataset(
         "training_run compared_snapshot field column", "of the modes",
-        "mean products of some training snapshots with them" + OF_FIELDS,
+        "mean products of some training snapshots with these" + OF_FIELDS,
     )  # fmt: skip
     squares: Array = dataset(
         "training_run compared_snapshot field", "m2/s2",
@@ -157,7 +157,7 @@ def _root(squares: Array) -> Array:
 
 
 class UnheldShares(Record):
-    """Shares [m/s over the norm] by number of modes: of velocity, of q, of q in own modes."""
+    """Missed shares of changes [m/s over the norm] by number of modes, for three fields."""
 
     parameters: Array = dataset(
         "size unheld_field", "m/s over the inner product's",
@@ -169,12 +169,12 @@ class UnheldShares(Record):
 
 
 class OutputShares(Record):
-    """The root mean squares that bases of 1, 2, ... modes miss, of an output over its field."""
+    """The part of an output that bases of 1, 2, ... modes miss, over that of its field."""
 
     quantities: Mapping[str, Array] = stored(
         (*FROM_FIELDS, *OF_WALLS), "size", units="{} over m/s",
-        meaning="{}: root mean square that a basis of 1, 2, ... modes misses in training runs left "
-        "out, over that of the velocity, or of c0 rho'/rho0 for pressures",
+        meaning="{}: root mean square that a basis of 1, 2, ... modes misses in held-out training "
+        "runs, divided by that of the velocity, or of c0 rho'/rho0 for pressures",
     )  # fmt: skip
 
 

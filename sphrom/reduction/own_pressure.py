@@ -49,30 +49,31 @@ CANDIDATES = (
     f"{BALANCE}-ridge",
     INTERPOLATED,
 )
-"""The candidates, from simple to complex: the pressure of the model's modes, the same with own
-modes from the balance of momentum, each with additions from training runs, and own modes alone."""
+"""The candidates, from simple to complex: the pressure of the model's modes, the same with
+separate modes from the balance of momentum, each with additions from training runs, and separate
+modes alone."""
 WIDER = 3
-"""Dimension of the space in which pressures are compared, over the number of own modes."""
+"""Dimension of the space in which pressures are compared, over the number of these modes."""
 NEGLIGIBLE = 1e-6
 """Difference of relative errors that counts as none, because it may be rounding."""
 
-_OWN = "own pressure modes"
-_BY_PART = "by part of the rates; `walls.lid` is that of walls per unit of a parameter `lid`"
+_OWN = "separate pressure modes"
+_BY_PART = "by part of the rates; `walls.lid` is for walls, per unit of a parameter `lid`"
 
 
 class PressureBalance(Record):
     """The balance of momentum, projected onto the gradients of pressure modes."""
 
     parts: Mapping[str, Array] = dataset(
-        "pressure_mode monomial", "m2/s3", f"products of rates with gradients, {_BY_PART}"
+        "pressure_mode monomial", "m2/s3", f"products of rates with pressure gradients, {_BY_PART}"
     )
     gradients: Array = dataset(
-        "pressure_mode pressure_mode", "m2/s4", "products of the gradients with each other", "K"
+        "pressure_mode pressure_mode", "m2/s4", "products of the pressure gradients", "K"
     )
     rates: Array = dataset(
-        "pressure_mode mode", "m2/s2", "products of the gradients with the velocities of modes"
+        "pressure_mode mode", "m2/s2", "products of the gradients with the modes' velocities"
     )
-    joint: Array = dataset("mode pressure_mode", "1", "products of the modes' pressures with them")
+    joint: Array = dataset("mode pressure_mode", "1", "products of the modes' pressures with these")
     walls_driven: int = attribute("", "1 if walls move with the amplitude, else 0")
 
 
@@ -118,7 +119,7 @@ def pressure_modes(pressures: Iterable[Array], weights: Array, n_modes: int) -> 
 
 @dataclass(frozen=True)
 class PointPressure:
-    """The coordinates of own modes at one parameter point: a polynomial, and a part over time."""
+    """Coordinates of separate pressure modes at one point: a polynomial, and a part over time."""
 
     polynomial: Polynomial
     correction: Array | None = None
@@ -126,13 +127,13 @@ class PointPressure:
 
 
 class OwnPressure(Record):
-    """The coordinates of own pressure modes as functions of those of a model."""
+    """The coordinates of separate pressure modes as functions of those of a model."""
 
     modes: Array = dataset("own_mode particle", "of the inner product's state", _OWN, "psi")
     parts: Mapping[str, Array] = dataset(
         "own_mode monomial",
         "of the inner product",
-        f"coordinates of own modes, {_BY_PART}",
+        f"coordinates of separate pressure modes, {_BY_PART}",
         default_factory=dict,
     )
     rates: Array = dataset("own_mode mode", "s", "factors of the rates, to be subtracted")
@@ -157,7 +158,7 @@ class OwnPressure(Record):
         kinematic_viscosity: float,
         factors: Factors = NONE,
     ) -> Polynomial:
-        """Return the coordinates of own modes, without the correction, at a parameter point.
+        """Return the coordinates of the modes, without the correction, at a parameter point.
 
         Parameters
         ----------
@@ -199,7 +200,7 @@ def fitted(
 
     Parameters
     ----------
-    own : (n_own_modes, n_pressure_modes), the own modes in the space.
+    own : (n_own_modes, n_pressure_modes), the separate modes in the space.
     runs : the model's runs by number, which have the coordinates of full runs.
     places : (n_all_runs, n_parameters), scaled so that distances are comparable.
     """
@@ -277,7 +278,7 @@ def _added(pressure: OwnPressure, run: TrainingRun, place: Array) -> Array:
 def _missed(space: PressureSpace, k: int, run: TrainingRun, added: Array) -> float:
     """Return the squared relative error of the pressure in a training run.
 
-    `added` are the coordinates (n_snapshots, n_pressure_modes) of own modes.
+    `added` are the coordinates (n_snapshots, n_pressure_modes) of the separate modes.
     """
     known = space.coordinates[k]
     size = space.squares[k].sum()

@@ -54,7 +54,7 @@ _BALANCED = "N/m, N of the torque, of the modes"
 class MomentumBalance(Record):
     """The terms of the balance of momentum, tested with the Stokes flows of a wall's motions."""
 
-    follows: Indices = dataset("load", "1", "1 where there is such a Stokes flow, else 0")
+    follows: Indices = dataset("load", "1", "1 for loads with a Stokes flow, else 0")
     momentum: Array = dataset("load mode", f"{_BALANCED}, s", "momentum of the fluid", "q")
     advection: Array = dataset("load mode mode", _BALANCED, "advection of momentum", "A")
     strain: Array = dataset("load mode", _BALANCED + VISCOUS, "viscous stress in the fluid", "s")
@@ -68,13 +68,13 @@ class DriveForce(Record):
     """The force and torque caused by one parameter, through walls and the body force."""
 
     walls: Array | None = dataset(
-        "load", _LOADS + WALLS + VALUE, "by walls that move", default=None
+        "load", _LOADS + WALLS + VALUE, "due to moving walls", default=None
     )
     force: Array | None = dataset(
-        "load term", _LOADS + FORCE + VALUE, "by the heads of the body force", default=None
+        "load term", _LOADS + FORCE + VALUE, "due to heads of the body force", default=None
     )
     push: Array | None = dataset(
-        "load", f"N/m, N{FORCE}{VALUE}", "by the body force on the whole fluid", default=None
+        "load", f"N/m, N{FORCE}{VALUE}", "due to the body force on the whole fluid", default=None
     )
 
 
@@ -85,14 +85,14 @@ class ReducedForce(Record):
     the factors of the coordinates.
     """
 
-    pressure: Array = dataset("load term", _LOADS, "by the pressure", "P")
-    viscous: Array = dataset("load term", _LOADS + VISCOUS, "by the viscosity", "V")
-    walls: Array = dataset("load", _LOADS + WALLS, "by walls that move", "w")
+    pressure: Array = dataset("load term", _LOADS, "due to pressure", "P")
+    viscous: Array = dataset("load term", _LOADS + VISCOUS, "due to viscosity", "V")
+    walls: Array = dataset("load", _LOADS + WALLS, "due to moving walls", "w")
     body_force: Array | None = dataset(
-        "load term", _LOADS + FORCE, "by the heads of the body force at walls", "B", default=None
+        "load term", _LOADS + FORCE, "due to heads of the body force", "B", default=None
     )
     own: Array | None = dataset(
-        "load pressure_mode", "N/m, N of the torque, of the modes", "by own pressure modes",
+        "load pressure_mode", "N/m, N of the torque, of the modes", "due to separate modes",
         default=None,
     )  # fmt: skip
     balance: MomentumBalance | None = part(default=None)
@@ -110,7 +110,7 @@ class ReducedForce(Record):
         return replace(direct, balance=few)
 
     def with_own(self, modes: Array, loads: Mask) -> ReducedForce:
-        """Return the force with some `loads` (3,) on ghosts, by own pressure modes too.
+        """Return the force with some `loads` (3,) on ghosts, by separate pressure modes too.
 
         `modes` are their factors (3, n_own_modes).
         """
@@ -232,7 +232,7 @@ class PointForce:
     """(..., 2, 6) factors of the mean density fluctuation: alone [m3/s2], times the amplitude."""
     correction: TimedLoads | None = None
     own: Array | None = None
-    """(3, n_own_modes) factors of the coordinates of own pressure modes, if they add loads."""
+    """(3, n_own_modes) factors of the coordinates of separate pressure modes, if they add loads."""
 
     def at(
         self,
@@ -252,8 +252,8 @@ class PointForce:
         time, amplitude : (n_states,) time [s], amplitude of the body force or of driven walls.
         coordinates, rates : (n_states, n_modes) coordinates and their rates [1/s].
         mean : separate density fluctuation [kg/m3], (n_states,) or one for all.
-        own : (n_states, n_own_modes) coordinates of own pressure modes, if they add loads; those of
-            the last modes may be left out.
+        own : (n_states, n_own_modes) coordinates of separate pressure modes, if they add loads;
+            those of the last modes may be left out.
         """
         loads = self.polynomial.along(coordinates, amplitude) + rates @ self.momentum.T
         alone, driven = np.moveaxis(self.uniform[..., None, :], -3, 0)

@@ -66,15 +66,15 @@ WALLS = f"{VISCOUS}, at the walls' speed"
 FORCE = " per amplitude of the body force"
 VALUE = ", per unit of the parameter"
 _RATES = "of the modes, /s"
-_PART = "part of the reduced rates by"
+_PART = "part of the reduced rates due to"
 _CLOSURE = (
-    "rates that a closure with so many modes adds, per memory length, by power of the viscosity "
-    "[m2/s]"
+    "rates that a closure with this number of modes adds, per unit of memory length, by power of "
+    "the viscosity [m2/s]"
 )
 _LINEAR, _NORM = "direction linear_monomial", "of the inner product, /s"
 _LEFT_OUT = (
-    "residual of the rates by {}: multiplied with monomials of coordinates, a vector with the norm "
-    "of the residual"
+    "residual of the rates due to {}: multiplied by the monomials of coordinates, it is a vector "
+    "with the norm of the residual"
 )
 
 
@@ -312,7 +312,7 @@ class ReducedOperators(_Parts):
         1, _RATES + FORCE, f"{_PART} force", "Eq. 3.21", symbols="cA", default=None
     )
     acoustic: Array = dataset(
-        "mode mode", _RATES, "share of pressure and divergence alone in the linear part",
+        "mode mode", _RATES, "linear part due to pressure and divergence alone",
         equation="Eq. 3.21",
     )  # fmt: skip
     drives: Mapping[str, DriveRates] = part(default_factory=dict)

@@ -88,7 +88,7 @@ class ReferenceModel:
     def n_resolving(self) -> int:
         """The number of steps that resolve the amplitude, at least one.
 
-        The error of two runs would not show too few: both may take it for a slower oscillation.
+        A comparison of two runs with too few steps shows no error: both see a slower oscillation.
         """
         return max(1, math.ceil(round(self.output_times.duration / self.longest_step, 6)))
 
@@ -119,7 +119,7 @@ class ReferenceModel:
         return np.zeros(len(time)) if self.amplitude is None else self.amplitude(time)
 
     def with_pressure(self, time: Array, coordinates: Array) -> Array:
-        """Return coordinates (..., n_states, n_modes), then those of own pressure modes.
+        """Return coordinates (..., n_states, n_modes), then those of separate pressure modes.
 
         `time` is (n_states,) [s]. A model of many runs has a first axis of runs.
         """
@@ -131,7 +131,7 @@ class ReferenceModel:
             share = np.ones((*correction.shape[:-1], 1))
             known = faded(np.concatenate((correction, share), axis=-1), times.n_snapshots)
             added = TimedLoads(times.time, known).at(time)
-            # Without the addition from training runs, own modes may be worse than none.
+            # Without the addition from training runs, separate modes may be worse than none.
             own = added[..., -1:] * own + added[..., :-1]
         return np.concatenate((coordinates, own), axis=-1)
 
@@ -153,7 +153,7 @@ class ReferenceModel:
     ) -> tuple[Array, Array | None]:
         """Return coordinates (..., n_snapshots, n_modes), and the correction that they contain.
 
-        The result is linear in the arguments, so it applies to derivatives by a parameter too.
+        The result is linear in the arguments, so it applies to derivatives too.
 
         Parameters
         ----------

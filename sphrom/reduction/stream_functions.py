@@ -70,7 +70,7 @@ class StreamSpace(Record):
         modes : (n_modes, n_coefficients) stream functions.
         factors : (n, n_modes), which multiply the modes.
         x : (n_places,) [m], of the lines.
-        y : (n, n_places, n_heights) [m], own heights of each sum and line.
+        y : (n, n_places, n_heights) [m], the heights for each sum and line.
         """
         middles, along_y = _rows(self)
         along = (y - self.bottom) * (self.n_rows / (self.top - self.bottom))

@@ -32,7 +32,7 @@ class SurfaceBasis(Record):
     energies: Array = dataset("mode", "1", "coordinates' mean squares in training")
     noise: float = attribute(
         "1",
-        "mean square of one direction's coordinate by noise alone",
+        "mean square of the coordinate of one direction, due to noise alone",
         at="noise_of_a_direction",
         default=0.0,
     )
@@ -156,7 +156,7 @@ class TrainedGraph(Record):
 
     @property
     def n_modes(self) -> int:
-        """Modes of the velocity: those asked for, as far as they are above the noise."""
+        """Number of velocity modes: the requested ones that are above the noise."""
         return len(self.closure) - self.n_surface
 
     @property

@@ -37,7 +37,7 @@ class RunMeasure(Record):
 
 
 class RunErrors(Record):
-    """The errors of models in training runs that went to their end."""
+    """The errors of models in completed training runs."""
 
     places: Array = labelled("run parameter", PLACES)
     amplitude: Array = dataset("run snapshot", "m", "amplitude of the model's waves", "A")
@@ -59,7 +59,7 @@ class SurfaceErrors(Record):
     def at(self, place: Array) -> Callable[[Callable[[RunErrors], Array]], Array]:
         """Return a function that gives errors over the amplitude (...) at a place (n_parameters,).
 
-        Its argument takes errors (n_runs, n_snapshots, ...) from those of the runs.
+        Its argument is a function that selects errors (n_runs, n_snapshots, ...) of the runs.
         """
         places = self.repeated.places
         between = np.linalg.norm(places[:, None] - places, axis=2)
@@ -78,7 +78,7 @@ class SurfaceErrors(Record):
         return over_amplitude
 
     def waves(self, amplitude: Array) -> Array:
-        """Return the amplitude (n_snapshots,) [m] of a run, or the least one that counts."""
+        """Return the amplitude (n_snapshots,) [m] of a run, or the least one in training."""
         trained = _floored(np.mean(self.repeated.amplitude**2, axis=1))
         return np.asarray(np.maximum(amplitude, np.sqrt(trained.min())))
 

@@ -1,4 +1,4 @@
-"""A trained model with one basis, as one record: all that its runs need at any parameters.
+"""A trained model with one basis, as one record: the data for runs at any parameters.
 
 Training runs determine a model's calibration, the corrections of its coordinates and forces, the
 linear parts of its steps, and the fit of its error estimates. `sphrom.models.points`
@@ -119,7 +119,8 @@ class TrainedForce(Record):
     pressure_errors: Array | None = dataset(
         "pressure_candidate run load", "1",
         "errors in held-out training runs, with the joint pressure or the balance of momentum, and "
-        "with own pressure modes; over the root mean square of the load in all runs", default=None,
+        "with separate pressure modes; divided by the load's root mean square in all runs",
+        default=None,
     )  # fmt: skip
 
 

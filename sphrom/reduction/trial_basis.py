@@ -163,7 +163,7 @@ def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
     Raises ValueError when the basis has fewer.
     """
     if not 1 <= n_modes <= basis.n_modes:
-        raise ValueError(f"{n_modes} modes asked for, but the basis has {basis.n_modes}")
+        raise ValueError(f"{n_modes} modes requested, but the basis has {basis.n_modes}")
     kept = np.arange(n_modes)
     density, velocity = basis.density_modes[kept], basis.velocity_modes[kept]
     return replace(basis, density_modes=density, velocity_modes=velocity)

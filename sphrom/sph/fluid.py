@@ -231,7 +231,7 @@ def _step(x: Array) -> Array:
 
 @dataclass(frozen=True)
 class Resistance:
-    """All resistance to the fluid of a scene."""
+    """The resistance that slows the fluid of a scene."""
 
     own: Rates | None = None
     """lambda without porous bodies and the strip [1/s]."""

@@ -106,8 +106,8 @@ class PolygonDomain(Domain):
             raise ValueError("the solids leave nothing for the fluid")
         if (length := shapely.length(self.fluid)) > LONGEST * max(self.lengths):
             raise ValueError(
-                f"walls of {length:.3g} m, more than {LONGEST:g} times the box's longer edge, are "
-                "finer than any particles; simplify their outlines"
+                f"walls are {length:.3g} m long, more than {LONGEST:g} times the box's longer "
+                "edge, so particles can't resolve them; simplify their outlines"
             )
 
     def __repr__(self) -> str:

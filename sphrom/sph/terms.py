@@ -40,11 +40,11 @@ class Term:
             raise ValueError("a term needs functions: linear, quadratic or acceleration")
 
     def matrices(self, position: Array) -> Array:
-        """Return A (2, 2, n) [1/s] at positions (n, 2) [m]."""
+        """Return the matrices A (2, 2, n) [1/s] at positions (n, 2) [m]."""
         return _tensor("linear", self.linear, 2, position)
 
     def products(self, position: Array) -> Array:
-        """Return B (2, 2, 2, n) [1/m] at positions (n, 2) [m]."""
+        """Return the tensors B (2, 2, 2, n) [1/m] at positions (n, 2) [m]."""
         return _tensor("quadratic", self.quadratic, 3, position)
 
     def __call__(self, position: Array, velocity: Array, time: float) -> Array:

@@ -207,7 +207,7 @@ def check_snapshot(
 ) -> None:
     """Raise UnstableError if fields are not those of a weakly compressible flow.
 
-    Also if a particle is beyond a wall.
+    A particle beyond a wall raises it too.
     """
     check_position(snapshot.position, domain, step, time)
     fluctuation = snapshot.density_fluctuation / reference_density

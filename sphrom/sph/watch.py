@@ -122,7 +122,7 @@ class Watch:
             speed = math.sqrt(2.0 * gain[worst])
             yield (
                 f"at t = {time[worst]:.4g} s the fluid has more energy than the work done on "
-                f"it explains: the excess is that of a speed of {speed:.3g} m/s of all fluid"
+                f"it explains: the excess corresponds to a speed of {speed:.3g} m/s of all fluid"
             )
         mach = self.max_speed / self.sound_speed
         most = max(MOST_FLUCTUATION, PER_MACH_SQUARED * mach**2)

@@ -105,7 +105,7 @@ class ArtifactFolder:
             self.require(target)
         if exists and not self.context.force:
             self._require_parents(target)
-            raise ArtifactError(f"{target.path} {reason}; `--force` makes it anew")
+            raise ArtifactError(f"{target.path} {reason}; `--force` makes it again")
         if exists:
             self.context.report.note(f"{target.path.name}: made again, because it {reason}")
         return True
@@ -208,8 +208,8 @@ class ArtifactFolder:
             if "time" in target.sections and different:
                 name = different[0]
                 return (
-                    f"the {name} is {there[name]} there, {here[name]} here: it follows the lowest "
-                    "Reynolds number of all points, and their speeds"
+                    f"the {name} is {there[name]} there, {here[name]} here: it depends on the "
+                    "lowest Reynolds number of all points, and on their speeds"
                 )
         return ""
 

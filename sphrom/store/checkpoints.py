@@ -194,16 +194,16 @@ class Checkpoints:
         if kept.continued not in (None, self._continued):
             path = self._target.path
             raise ArtifactError(
-                f"{path} is no longer the run that was continued; `--force` starts anew"
+                f"{path} is no longer the run that was continued; `--force` starts over"
             )
         for number in range(1, kept.n_parts + 1):
             target = self._part(number)
             if not target.path.exists():
-                raise ArtifactError(f"{target.path} is missing; `--force` starts anew")
+                raise ArtifactError(f"{target.path} is missing; `--force` starts over")
             with self._workspace.open_intermediate(target) as part:
                 part.verify_content()
                 if part.number("number") != number:
-                    raise ArtifactError(f"{target.path} is another part; `--force` starts anew")
+                    raise ArtifactError(f"{target.path} is another part; `--force` starts over")
         return kept
 
     def _part(self, number: int) -> Target:
@@ -224,26 +224,26 @@ class Checkpoints:
         except ArtifactError as error:
             if not context.force:
                 raise
-            report.warn(f"{self._name}: starts anew; {error}")
+            report.warn(f"{self._name}: starts over; {error}")
             return None
         where = f"step {kept.step} of {kept.n_steps}, t = {kept.time:.6g} s"
         if not context.resume and not context.force:
             raise ArtifactError(
                 f"{self._name} was stopped, and has a checkpoint: `--resume` continues it from "
-                f"{where}; `--force` starts anew"
+                f"{where}; `--force` starts over"
             )
         if not context.resume:
-            report.warn(f"{self._name}: starts anew; its checkpoint at {where} is discarded")
+            report.warn(f"{self._name}: starts over; its checkpoint at {where} is discarded")
             return None
         if differing := _computed_otherwise(kept):
             reason = f"{self._name}: its checkpoint was computed with {differing}"
             if context.bitwise:
-                report.warn(f"{reason}; it starts anew")
+                report.warn(f"{reason}; it starts over")
                 return None
             if not context.force:
                 raise ArtifactError(
                     f"{reason}; if it is continued, the last bits may differ from an uninterrupted "
-                    "run: `--resume --force` continues anyway, `--force` alone starts anew"
+                    "run: `--resume --force` continues anyway, `--force` alone starts over"
                 )
             report.warn(f"{reason}; the last bits may differ from an uninterrupted run")
         report.note(f"{self._name}: goes on from its checkpoint at {where}")

@@ -138,12 +138,12 @@ class Workspace(ArtifactFolder):
             if there != here and context.resume and not context.force:
                 raise ArtifactError(
                     f"{ends}, and can't be continued: the {name} is {there} there, {here} here; "
-                    f"{remedy}`--force` makes it anew"
+                    f"{remedy}`--force` makes it again"
                 )
             if there != here:
                 return None
         if not context.resume and not context.force:
-            raise ArtifactError(f"{ends}: `--resume` continues it, `--force` makes it anew")
+            raise ArtifactError(f"{ends}: `--resume` continues it, `--force` makes it again")
         return found if context.resume else None
 
     def _finished(self, target: Target) -> Workspace | None:

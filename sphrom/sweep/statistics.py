@@ -85,8 +85,8 @@ class Output:
 def outputs_of(case: Case, runs: Values, trained: Values = ()) -> Iterator[Output]:
     """Yield the outputs of complete runs: kinetic energy, and the measurements of the case.
 
-    They are followed by means over the times that count, and by figures of oscillations, which are
-    NaN for runs without one. `trained` are the differences from `SweptModel.in_training`.
+    They are followed by means over the times since `from_time`, and by figures of oscillations,
+    which are NaN for runs without one. `trained` are the differences from `SweptModel.in_training`.
     """
     over_time = _stacked(runs)
     differences = _stacked(trained)

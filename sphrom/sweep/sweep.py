@@ -186,7 +186,7 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
 
     `error_estimate_extrapolated` is `yes` for values outside of the trained range, else `no`, and
     empty without an estimate. `reason` is that of a failure, or of a doubt about a complete run.
-    Measurements over time have columns for their statistics, from the time on that counts, and for
+    Measurements over time have columns for their statistics from their `from_time` on, and for
     estimated errors, which are empty for components with only noise; measurements along lines have
     none. Oscillations have a column for the reason why there is no frequency.
     """

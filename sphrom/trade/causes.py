@@ -68,7 +68,7 @@ def growth(reduced: ReferenceModel, states: Array) -> tuple[float, str]:
 
 
 def longest_memory(near: ReferenceModel, far: ReferenceModel) -> float | None:
-    """Return the longest memory without growth, divided by the memory of the model `near`.
+    """Return the longest memory at which no state grows, over the memory of the model `near`.
 
     `far` is the same model with twice the memory, because the closure's part of a Jacobian is
     proportional to the memory. Jacobians are those around the states of `near`. Returns None if

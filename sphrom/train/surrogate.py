@@ -1,6 +1,6 @@
 """The model that a training improves: full runs, the model trained on them, and its errors.
 
-Full runs and maps belong to the case and are kept. Bases, splines and operators are made anew for
+Full runs and maps belong to the case and are kept. Bases, splines and operators are made again for
 each set of training points, in a folder of their own, at a small part of the cost of a full run.
 
 Errors are root mean squares over the reference points and the compared times, over those of the

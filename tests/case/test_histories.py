@@ -205,7 +205,7 @@ def test_rows_between_the_steps_and_unused_tables_are_warned_of(load) -> None:
     assert any("sway: has a row every 0.001 s, and changes from row to row" in t for t in told)
     smooth = "".join(f"{0.001 * n:g},{0.001 * n:g}\n" for n in range(2001))
     told = case_warnings(load("time,ax\n" + smooth))
-    assert any("sway: has a row every 0.001 s, but runs use values at steps" in t for t in told)
+    assert any("sway: has a row every 0.001 s, but runs read values only every" in t for t in told)
     told = case_warnings(load(body_force=[1, 0]))
     assert "scene.histories.sway: is not used; write sway(t) in an expression" in told
 

@@ -101,8 +101,8 @@ MODELS = ("rom.0.n_modes=2", "rom.1.n_modes=2", "parameters.test.reynolds=[160]"
         (("fom", "--only=reynolds=100"), ("time.final_time=0.16", *MODELS),
          "time.final_time is 0.08 there, 0.16 here"),
         (("fom", "--only=reynolds=100"), ("parameters.test.reynolds=[0.5]",),
-         "the step is 0.008 s there, 0.000487805 s here: it follows the lowest Reynolds number of "
-         "all points, and their speeds"),
+         "the step is 0.008 s there, 0.000487805 s here: it depends on the lowest Reynolds number "
+         "of all points, and on their speeds"),
         (("fit-psi",), ("psi.order=5", "psi.polynomial_degree=2"),
          "psi.order is 3 there, 5 here; psi.polynomial_degree is 1 there, 2 here"),
         (("pod",), ("parameters.train.reynolds=[200, 100]",),
@@ -116,7 +116,7 @@ MODELS = ("rom.0.n_modes=2", "rom.1.n_modes=2", "parameters.test.reynolds=[160]"
 def test_only_what_matters_is_said_to_differ(place, refused, stage, changes, differs):
     settings = [part for change in (*ELSEWHERE, *changes) for part in ("--set", change)]
     line = refused(stage[0], "tiny.yaml", *settings, "--out", place, *stage[1:])
-    assert f"was made with another case ({differs}); `--force` makes it anew" in line
+    assert f"was made with another case ({differs}); `--force` makes it again" in line
 
 
 def test_a_file_under_another_name(place, refused):

@@ -80,7 +80,7 @@ def test_a_comparison_counts_after_the_start_and_by_component(made: Path) -> Non
     off = float(fast["rms_error"])
     assert float(fast["relative_l2 [%]"]) == pytest.approx(100.0 * off / size)
     answer = (made / "answer.txt").read_text()
-    assert "Means and errors of measurements count from 0.5005 s on (drag, wake)." in answer
+    assert "Means and errors of measurements are computed from 0.5005 s on (drag, wake)." in answer
     assert "The measured force (drag) differs over time, as a vector by" in answer
     assert "The oscillation (beat) can't be compared: fewer than three periods of an" in answer
 
@@ -88,7 +88,7 @@ def test_a_comparison_counts_after_the_start_and_by_component(made: Path) -> Non
 def test_a_sweep_counts_after_the_start(made: Path, study: package.Study, sphrom) -> None:
     said = sphrom("sweep", made / "case.yaml", "--out", made / "runs", "--workers", 1, code=0)
     text = " ".join(said.output.split())
-    assert "means and errors of measurements count from 0.5005 s on (drag, wake)" in text
+    assert "means and errors of measurements are computed from 0.5005 s on (drag, wake)" in text
     assert "beat: 8 of 8 runs have no frequency and no amplitude" in text
     row, *_ = rows(made / "runs/sweep-fast.csv")
     run = study.model("fast", reynolds=float(row["reynolds"])).run()

@@ -103,7 +103,7 @@ def test_a_checkpoint_is_neither_used_nor_lost_unasked(
         )
     assert leftovers(place) == kept
     anew = again("full", "--force", code=0)
-    assert f"warning: {FULL}: starts anew; its checkpoint at step 4 of" in anew.stderr
+    assert f"warning: {FULL}: starts over; its checkpoint at step 4 of" in anew.stderr
     assert digests(place) == before
     assert leftovers(place) == []
 
@@ -316,7 +316,7 @@ def test_a_finished_run_goes_on_to_the_bits_of_a_longer_one(
         again("full", *options, "--resume", "--checkpoint-every", 0, code=130)
         assert digests(place) == before
     unasked = again("full", *options, code=3).stderr
-    assert "ends at 0.08 s: `--resume` continues it, `--force` makes it anew" in unasked
+    assert "ends at 0.08 s: `--resume` continues it, `--force` makes it again" in unasked
     result = again("full", *options, "--resume", code=0).stdout
     if not stops:
         assert f"{FULL}: continues from its end at step {at_end}, t = 0.08 s" in result
@@ -348,7 +348,7 @@ def test_a_checkpoint_needs_the_run_that_it_continues(place, again, stop_at, lon
     again("full", *options, "--resume", code=130)
     (place / FULL).unlink()
     gone = again("full", *options, "--resume", code=3).stderr
-    assert f"{FULL} is no longer the run that was continued; `--force` starts anew" in gone
+    assert f"{FULL} is no longer the run that was continued; `--force` starts over" in gone
     again("full", *options, "--resume", "--force", code=0)
 
 

@@ -206,7 +206,8 @@ def test_runs_comparisons_and_trades_read_the_maps(sphrom, weigh, place, few):
         if (row["varied"], row["kind"]) == (REYNOLDS, "fast"):
             row |= {"right_from": 160.0, "right_to": 200.0, "below": "extrapolated modes"}
     path.write_text(json.dumps(document))
-    said = "by its map it is right for a reynolds from 160 to 200; beyond: extrapolated modes"
+    span = "a reynolds from 160 to 200; beyond: extrapolated modes"
+    said = f"according to its map it is right for {span}"
     rom = sphrom("rom", *options(), "--only", "fast").output
     assert f"fast, reynolds=150: {said}" in " ".join(rom.split())
     compared = sphrom("compare", *options(), "--force").output
@@ -215,7 +216,7 @@ def test_runs_comparisons_and_trades_read_the_maps(sphrom, weigh, place, few):
     # Maps of another basis say nothing.
     document["about"]["basis"] = "another"
     path.write_text(json.dumps(document))
-    assert "by its map" not in sphrom("rom", *options(), "--only", "fast", "--force").output
+    assert "to its map" not in sphrom("rom", *options(), "--only", "fast", "--force").output
     path.write_text("{")
     assert sphrom("rom", *options(), "--only", "fast", "--force").exit_code == 3
 

@@ -145,9 +145,9 @@ def test_small_singular_values_survive() -> None:
 def test_more_modes_than_rank_or_snapshots_is_refused() -> None:
     values = np.array([1.0, 0.5, 0.1, 0.0, 0.0])
     data = _prescribed(values)
-    with pytest.raises(ValueError, match="rank 3: ask for at most 3 modes"):
+    with pytest.raises(ValueError, match="rank 3: request at most 3 modes"):
         _decompose(*data, InnerProduct.raw(0.0), 4)
-    with pytest.raises(ValueError, match=r"'all': 25 modes asked for"):
+    with pytest.raises(ValueError, match=r"'all': 25 modes requested"):
         _decompose(*_data(), PRODUCTS["raw"], 25)
 
 
@@ -172,7 +172,7 @@ def test_truncated_basis_is_the_basis_of_fewer_modes() -> None:
     cut = truncate(five, 2)
     np.testing.assert_allclose(cut.density_modes, two.density_modes, atol=1e-12)
     np.testing.assert_allclose(cut.velocity_modes, two.velocity_modes, atol=1e-12)
-    with pytest.raises(ValueError, match="6 modes asked for"):
+    with pytest.raises(ValueError, match="6 modes requested"):
         truncate(five, 6)
 
 

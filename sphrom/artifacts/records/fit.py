@@ -22,7 +22,7 @@ class FittedHistory(Record):
     half_width: Array = dataset(
         "snapshot",
         "of the quantity",
-        "half-width about the curve of the 95 % interval for the flow's own history",
+        "half-width of the 95 % interval around the curve, for the true history",
     )
     name: str = attribute("", "measurement, with its place if the case does not name it")
     units: str = attribute("", "units of the quantity", at="quantity_units")
@@ -41,19 +41,21 @@ class Fit(Record, kind="sphrom/fit"):
         "estimate", "of the parameters", "standard deviations of the estimates"
     )
     by_noise: Array = dataset(
-        "estimate", "of the parameters", "their part due to the noise of the measurements"
+        "estimate", "of the parameters", "part of the deviations due to measurement noise"
     )
-    by_model: Array = dataset("estimate", "of the parameters", "their part due to model errors")
+    by_model: Array = dataset(
+        "estimate", "of the parameters", "part of the deviations due to model errors"
+    )
     low: Array = dataset("estimate", "of the parameters", "lower ends of the 95 % intervals")
     high: Array = dataset("estimate", "of the parameters", "upper ends of the 95 % intervals")
     covariance: Array = dataset(
         "parameter parameter", "of the parameters", "covariance of the estimated parameters"
     )
-    correlation: Array = dataset("parameter parameter", "1", "their correlation")
+    correlation: Array = dataset("parameter parameter", "1", "correlation of the estimates")
     eigenvalues: Array = dataset(
         "parameter", "1", "eigenvalues of the Fisher matrix for parameters over their ranges"
     )
-    directions: Array = dataset("parameter parameter", "1", "its eigenvectors, in rows")
+    directions: Array = dataset("parameter parameter", "1", "eigenvectors of that matrix, in rows")
     time: Array = labelled("snapshot", TIME)
     history: Mapping[str, FittedHistory] = part()
     estimate_names: str = attribute("", "names of the estimates, separated by commas")
@@ -69,7 +71,7 @@ class Fit(Record, kind="sphrom/fit"):
     )
     chi_square: float = attribute("1", "chi^2 of the fit")
     expected_chi_square: float = attribute(
-        "1", "bound of chi^2 from noise, with a probability of 99.9 %, and the model's errors"
+        "1", "largest chi^2 that noise, with a probability of 99.9 %, and model errors explain"
     )
     degrees_of_freedom: int = attribute("", "number of values minus that of estimated parameters")
     starts_led_here: int = attribute("", "number of starts of the search that led to this fit")

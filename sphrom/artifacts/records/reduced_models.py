@@ -93,8 +93,8 @@ class HeldOut(Record):
     integrated: Indices = dataset(
         "size",
         "1",
-        "number of modes to integrate in models with 1, 2, ... modes; training runs predict the "
-        "others",
+        "number of modes to integrate in models with 1, 2, ... modes; the other modes are "
+        "predicted from training runs",
     )
     error: Array = dataset(
         "size field",
@@ -155,7 +155,7 @@ class Operators(Record, kind="sphrom/operators"):
     bases: Mapping[str, BasisOperators] = part()
     starts: Starts | None = part(default=None)
     pressure_splines: Mapping[str, PressureSplines] = part(default_factory=dict)
-    walls_driven: int = attribute("", "1 if the amplitude is that of the walls' speed, else 0")
+    walls_driven: int = attribute("", "1 if the amplitude multiplies the walls' speed, else 0")
 
 
 class HistoryTable(Record):
@@ -179,7 +179,7 @@ class ModelFile(Medium):
 
 
 class TrainedModel(ModelFile, kind="sphrom/model"):
-    """A trained model, with all that its runs need at any parameters."""
+    """A trained model, with the data for runs at any parameters."""
 
     bases: Mapping[str, TrainedBasis] = part()
     modes: Mapping[str, StoredBasis] = part(at="modes/*")
@@ -234,7 +234,7 @@ class SurfaceStarts(Record):
 
 
 class TrainedSurfaceModel(ModelFile, kind="sphrom/surface-model"):
-    """A trained model of a flow with a free surface, with all that its runs need."""
+    """A trained model of a flow with a free surface, with the data for its runs."""
 
     basis: SurfaceBasis = part()
     graph: TrainedGraph = part()

@@ -215,7 +215,7 @@ class ReferenceSnapshots(Timed, AtPoint, kind="sphrom/reference-snapshots"):
     )
     round_trip_error: Mapping[str, float] = attribute(
         "%",
-        "relative L2 loss of the last snapshot by the map and back, by field, where no exact "
+        "relative L2 error of the last snapshot mapped there and back, by field, where no exact "
         "solution is known",
         default_factory=dict,
     )
@@ -243,9 +243,9 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     n_steps: int = attribute("", "number of steps of the whole run")
     time: float = attribute("s", "time of the state")
     n_parts: int = attribute("", "number of files of snapshots that belong to it")
-    computed_with: str = attribute("", "versions and processor on which its last bits depend")
+    computed_with: str = attribute("", "versions and processor, which affect the last bits")
     seconds: float = attribute("s", "time spent on the steps", at="timing/integration")
-    wall_seconds: float = attribute("s", "time spent on the artifact", at="timing/wall")
+    wall_seconds: float = attribute("s", "time spent on the whole artifact", at="timing/wall")
     continued: str | None = attribute(
         "",
         "digest of the finished run whose snapshots come first; absent without one",
@@ -256,7 +256,7 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
 class TrajectoryPart(Recorded, Snapshots, kind="sphrom/trajectory-part"):
     """Snapshots of an unfinished run, from one checkpoint to the next."""
 
-    number: int = attribute("", "place in the order of parts, from 1")
+    number: int = attribute("", "number of the part, from 1")
 
 
 Converged = Literal["converged", "not converged"]
@@ -371,20 +371,20 @@ class Coordinates(Recorded, Timed, Simulated, kind="sphrom/coordinates"):
     pressure_coordinates: Array | None = dataset(
         "snapshot own_mode",
         "of the inner product",
-        "coordinates in the pressure modes that are the model's own",
+        "coordinates in the separate pressure modes",
         "b",
         default=None,
     )
     correction: Array | None = dataset(
         "snapshot mode",
         "of the inner product",
-        "the part of the coordinates that is a correction by training runs",
+        "correction by training runs, which the coordinates include",
         default=None,
     )
     integrated_modes: int | None = attribute(
         "1",
-        "number of leading modes that are integrated within the trained time; training runs "
-        "predict the others",
+        "number of leading modes that are integrated within the trained time; the others are "
+        "predicted from training runs",
         default=None,
     )
     residual: Array | None = dataset(
@@ -426,7 +426,7 @@ class SurfaceSnapshots(Timed, AtPoint, kind="sphrom/surface-snapshots"):
     residual: Array = dataset(
         "snapshot",
         "1",
-        "norm of the velocity that the fit leaves out, divided by that of the particles",
+        "norm of the fit's residual, divided by that of the velocity of the particles",
     )
     speed: Array = dataset("snapshot", "m/s", "root mean square velocity of the particles")
 
@@ -435,7 +435,7 @@ class SurfaceRun(Recorded, Timed, Settings, Ended, kind="sphrom/surface-run"):
     """The time series of a reduced run with a free surface."""
 
     doubts: str | None = attribute(
-        "", "how far its states are from all of those in training, one per line", default=None
+        "", "distances of its states from all training states, in words, one per line", default=None
     )
     error_estimate: SurfaceErrorEstimate | None = part(default=None)
 

@@ -125,7 +125,7 @@ class Sweep(Record, kind="sphrom/sweep"):
     derivatives: Array | None = dataset(
         "complete_run derivative",
         "of the figures, per unit of the parameter",
-        "derivatives of figures at the end by parameters",
+        "derivatives of final figures with respect to parameters",
         default=None,
     )
     statistics: Statistics | None = part(default=None)

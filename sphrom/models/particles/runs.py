@@ -68,7 +68,7 @@ def close(
 
 
 def doubts_of_step(factor: float) -> list[str]:
-    """Return objections to steps that are `factor` times as long as the full model's."""
+    """Return doubts about steps that are `factor` times as long as the full model's."""
     if factor <= LONGEST_STEP:
         return []
     return [

@@ -65,7 +65,7 @@ class BasisModel:
     Attributes
     ----------
     section : the model in the case, with its number of modes.
-    trained : all that training runs determine.
+    trained : the results of training.
     basis : the model's modes.
     n_integrated : number of modes that are integrated within the trained time.
     problem : why the necessary corrections are impossible; None if there is no problem.

@@ -170,7 +170,7 @@ class FastModel(Model[ReferenceModel]):
         step_factor: float = 1.0,
         integrator: Integrator | None = None,
     ) -> Tangents:
-        """Return the derivatives of a run by some parameters, in steps longer by a factor."""
+        """Return derivatives with respect to some parameters, in steps longer by a factor."""
         from sphrom.models.points.sensitivities import tangents
 
         return tangents(self, point, names, reduced, step_factor, integrator)
@@ -223,7 +223,7 @@ class FastRun(ModelRun):
     model: FastModel
     reduced: ReferenceModel
     diverged_at: float
-    """[s], NaN for a run that went to its end."""
+    """[s], NaN for a completed run."""
 
     @property
     def on_basis(self) -> BasisModel:
@@ -243,7 +243,7 @@ class FastRun(ModelRun):
 
     @cached_property
     def states(self) -> Array:
-        """(n_snapshots, n) coordinates, then those of own pressure modes, if there are any."""
+        """(n_snapshots, n) coordinates, then those of separate pressure modes, if there are any."""
         return self.reduced.with_pressure(self.time, self.coordinates)
 
     @property

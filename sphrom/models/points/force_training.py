@@ -28,9 +28,9 @@ from sphrom.reduction.trained_basis import TrainedBasis, TrainedForce
 from sphrom.setup.assembly import sound_averages
 
 CLEARLY = 0.7
-"""Largest error with own pressure modes, relative to that without, for which they are used. A few
-runs do not tell smaller differences from noise: on a turning disc, 0.9 in held-out runs was 1.4 to
-2.9 in other runs. In a channel with a wavy floor it is 0.1 to 0.2 for the torque."""
+"""Largest error with separate pressure modes, relative to that without, for which they are used. A
+few runs do not tell smaller differences from noise: on a turning disc, 0.9 in held-out runs was 1.4
+to 2.9 in other runs. In a channel with a wavy floor it is 0.1 to 0.2 for the torque."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class ForceTraining:
     """(n_runs, n_snapshots, n_modes) of its runs there."""
     recorded: Mapping[str, WallForce]
     held_out: Mapping[int, Array]
-    """Coordinates (n_snapshots, n_pressure_modes) of own modes in held-out runs, by number."""
+    """Coordinates (n_snapshots, n_pressure_modes) of separate modes in held-out runs, by number."""
 
     def forces(self, trained: TrainedBasis) -> dict[str, TrainedForce]:
-        """Return corrected forces, with own pressure modes in the components where it is better."""
+        """Return corrected forces, with separate pressure modes in components that they improve."""
         plain = self._corrected(trained)
         if (own := trained.own_pressure) is None:
             return plain
@@ -122,7 +122,7 @@ class ForceTraining:
 
 
 def chosen_loads(errors: Array, places: Array) -> Mask:
-    """Return whether own pressure modes are clearly better (3,), from the errors of both.
+    """Return whether separate pressure modes are clearly better (3,), from the errors of both.
 
     `errors` are (2, n_runs, 3), at places (n_runs, n_parameters).
     """
@@ -145,8 +145,8 @@ def report_forces(model: BasisModel, basis: str) -> None:
             rows.append((name, component, *figures, "own pressure" if chosen[load] else "joint"))
     if rows:
         model.workspace.context.report.table(
-            f"forces of {model.section.name}, basis {basis}: pressure by held-out training runs, "
-            "errors without sound",
+            f"forces of {model.section.name}, basis {basis}: errors in held-out training runs "
+            "with each pressure, without sound",
             ("measured", "component", "joint [%]", "own pressure [%]", "chosen"),
             rows,
         )

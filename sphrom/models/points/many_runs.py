@@ -1,4 +1,4 @@
-"""Many runs of a model with one basis, of which all but the time steps is computed at once.
+"""Many runs of a model with one basis, computed at once except for the time steps.
 
 Arrays have a first axis of runs. Their operations take each run by itself, so that its numbers have
 the bits of a single run.

@@ -242,13 +242,13 @@ class _Projection:
             rows.append((name, format_figure(100.0 * max(shares))))
             if max(shares) > UNBALANCED:
                 self.report.warn(
-                    f"the force {name} of training runs is {rows[-1][1]} % off the balance of "
-                    "momentum: a finer discretization.resolution may be needed"
+                    f"the force {name} of training runs differs by {rows[-1][1]} % from the "
+                    "balance of momentum: a finer discretization.resolution may be needed"
                 )
         if rows:
             self.report.table(
-                f"balance of momentum, basis {self.name}: largest difference of the forces of "
-                "training runs from it, without sound",
+                f"basis {self.name}: largest difference between the forces of training runs and "
+                "the balance of momentum, without sound",
                 ("measured", "difference [%]"),
                 rows,
             )
@@ -417,8 +417,8 @@ class _Projection:
             figures = largest_growth(at_rest), spectral_radius(at_rest), limit
             rows.append((point.label, *(f"{figure:.3g}" for figure in figures)))
         self.report.table(
-            f"operators of basis {self.name}, {self.operators.n_modes} modes: acoustic part skew "
-            f"to {self.operators.skewness:.1e}",
+            f"operators of basis {self.name}, {self.operators.n_modes} modes: acoustic part "
+            f"skew-symmetric to {self.operators.skewness:.1e}",
             ("parameters", "largest real part [1/s]", "spectral radius [1/s]", "step limit [s]"),
             rows,
         )
@@ -443,5 +443,5 @@ class _Projection:
             if used and chosen_here and plan.is_corrected(model, name) and n_integrated < n_modes:
                 self.report.info(
                     f"{model.name}, basis {name}: integrates {n_integrated} of {n_modes} modes; "
-                    "training runs predict the others"
+                    "the others are predicted from training runs"
                 )

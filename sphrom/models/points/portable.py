@@ -253,7 +253,7 @@ class _Export:
             return own.at(self.rates.at(viscosity, factors)[0], viscosity, factors)
 
         return {
-            "coefficients": self._polynomials("the pressure of own modes", coordinates),
+            "coefficients": self._polynomials("the separate pressure modes", coordinates),
             "correction": kriging(own.correction, np.eye(len(own.modes))),
         }
 

@@ -81,7 +81,7 @@ def report_pressure(workspace: Workspace, model: str, basis: str, trained: Train
     (chosen,) = trained.pressure or (JOINT,)
     expected = map(format_figure, 100.0 * expected_errors(errors, trained.places))
     workspace.context.report.table(
-        f"pressure of {model}, basis {basis}: {chosen}, by training runs",
+        f"pressure of {model}, basis {basis}: training runs choose {chosen}",
         ("pressure", "expected error [%]"),
         list(zip(CANDIDATES, expected, strict=True)),
     )

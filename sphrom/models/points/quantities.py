@@ -25,7 +25,7 @@ def forces_of(
     time : (n_states,) [s].
     coordinates : (n_states, n_modes).
     mean : separate density fluctuation [kg/m3], (n_states,) or one; by default the model's own.
-    own : (n_states, n_own_modes) of own pressure modes; by default as the model has them.
+    own : (n_states, n_own_modes) of separate pressure modes; by default as the model has them.
     """
     mean = reduced.mean_density_fluctuation if mean is None else mean
     if not reduced.forces:

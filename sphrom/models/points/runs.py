@@ -89,7 +89,7 @@ def seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
     single = {name: measured_once(each) for name, each in quantities.items()}
     write_record(artifact, replace(stored, training_distance=distance, measure=single), "steady")
     text = f"{run.name}: the steady state is {format_figure(100.0 * distance)} % of its norm away "
-    text += "from the nearest state of the training runs, or between them"
+    text += "from the nearest state of the training runs or of the run interpolated between them"
     if errors is not None:
         velocity, pressure = (f"{format_figure(100.0 * each)} %" for each in errors.relative)
         text += f"; estimated errors: velocity {velocity}, pressure {pressure}"

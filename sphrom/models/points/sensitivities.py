@@ -38,7 +38,7 @@ from sphrom.store.trajectory import totals
 
 @dataclass(frozen=True)
 class Tangents:
-    """A run and its derivatives by each parameter."""
+    """A run and its derivatives with respect to each parameter."""
 
     parameters: tuple[str, ...]
     """The parameters of the derivatives, along the first axis of the following arrays."""
@@ -76,12 +76,12 @@ class _Sides:
         return replace(self, below=below, above=above)
 
     def slope(self, of: Callable[[ReferenceModel], Any]) -> Any:
-        """Return the derivative of a number or array of the model by the parameter."""
+        """Return the derivative of a number or array of the model for the parameter."""
         return (of(self.above) - of(self.below)) / self.width
 
     @property
     def change(self) -> Change:
-        """The derivative of the equations by the parameter."""
+        """The derivative of the equations with respect to the parameter."""
         low = self.below.amplitude
         high = self.above.amplitude
         width = self.width
@@ -108,7 +108,7 @@ def tangents(
     step_factor: float = 1.0,
     integrator: Integrator | None = None,
 ) -> Tangents:
-    """Return the derivatives of a run, its forces and its energy by some parameters.
+    """Return derivatives of a run, its forces and its energy with respect to parameters.
 
     Parameters
     ----------

@@ -143,7 +143,7 @@ def measured_of_map(case: Case, mapped: Artifact) -> Measured:
 def measured_of_best(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, mapped: Artifact
 ) -> Measured:
-    """Measure the nearest states in the basis of a model, with the model's operators."""
+    """Measure the states of a model's basis nearest to the mapped ones, with its operators."""
     from sphrom.models.points.fast_model import FastModel
     from sphrom.models.points.quantities import quantities_of
 

@@ -81,7 +81,7 @@ def _report_errors(
     position, density, velocity = snapshot_fields(trajectory, last)
     flow = workspace.case.plan.flow(point).exact
     if flow is None:
-        kind, step = "round_trip_error", "to the reference points and back the last snapshot"
+        kind, step = "round_trip_error", "the last snapshot, mapped there and back,"
         exact = density - density.mean(), velocity
         try:
             there = to_reference(position, *exact)
@@ -89,7 +89,7 @@ def _report_errors(
         except ValueError as error:
             raise CaseError(f"reference: snapshot {last}, there and back: {error}") from error
     else:
-        kind, step = "map_error", "of the exact solution on the particles the map"
+        kind, step = "map_error", "the exact solution, mapped from the particles,"
         end = float(trajectory.read("time")[-1])
         exact, sampled = (
             (flow.pressure(there, end), flow.velocity(there, end)) for there in (points, position)

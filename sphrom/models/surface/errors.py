@@ -46,7 +46,7 @@ def full_run(workspace: Workspace, point: ParameterPoint) -> FullRun:
 
 
 def run_errors(runs: Sequence[SurfaceRun], full: dict[ParameterPoint, FullRun]) -> RunErrors | None:
-    """Return the errors of runs at points with full runs; None if none went to its end."""
+    """Return the errors of runs at points with full runs; None if none was completed."""
     runs = [run for run in runs if run.failure is None]
     if not runs:
         return None

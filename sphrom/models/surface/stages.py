@@ -88,7 +88,7 @@ def map_point(workspace: Workspace, point: ParameterPoint) -> None:
                 advance(1)
             artifact.annotate("timing/map", time.perf_counter() - started)
     lost = format_figure(100.0 * float(np.median(residuals)))
-    text = f"{point.label}: the stream functions leave out {lost} % of the velocity (median)"
+    text = f"{point.label}: the stream functions miss {lost} % of the velocity (median)"
     workspace.context.report.info(text)
 
 
