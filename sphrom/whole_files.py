@@ -138,7 +138,8 @@ class GarbageCollectionPaused:
 
     HDF5 calls the file's methods, and Python may collect garbage in any of them. If the garbage
     includes HDF5's own objects, such as datasets of another artifact, HDF5 is entered a second time
-    and writes a damaged file. It is a class: an interrupt could leave a generator half done.
+    and writes a damaged file. It is a class, because an interrupt could leave a generator half
+    done.
     """
 
     _collects = False

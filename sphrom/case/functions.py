@@ -1,4 +1,4 @@
-"""Functions of Python in a scene, which `sphrom.Flow` puts there.
+"""Python functions in a scene, which `sphrom.Flow` puts there.
 
 A case identifies a function by a digest of its code and of the values that it uses. So artifacts of
 an earlier function are out of date, and a process that does not have the function, such as a

@@ -127,7 +127,7 @@ class SceneSection(Section):
 
     @property
     def has_functions(self) -> bool:
-        """Whether the scene has functions of Python, which other processes don't have."""
+        """Whether the scene has Python functions, which other processes don't have."""
         return False
 
     @property

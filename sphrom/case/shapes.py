@@ -163,7 +163,7 @@ class IntersectionShape(ShapeSection):
 
 
 class DifferenceShape(ShapeSection):
-    """A shape without others."""
+    """A shape minus others."""
 
     difference: Shapes = key(..., "the first shape without the others")
 

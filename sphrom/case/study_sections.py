@@ -256,7 +256,7 @@ class SpreadSection(Section):
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """The values (n_values,)."""
+        """The spread values (n_values,)."""
         spread = np.linspace if self.spacing == "linear" else np.geomspace
         return np.asarray(spread(self.low, self.high, self.count))
 

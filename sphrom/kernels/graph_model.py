@@ -46,7 +46,7 @@ class Tables(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Where the model stops."""
+    """The limits at which a run stops."""
 
     slope: float
     top: float

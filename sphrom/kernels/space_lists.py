@@ -17,7 +17,7 @@ from sphrom.kernels.jit import serial, term
 
 
 class SpaceGrid(NamedTuple):
-    """The cells."""
+    """The cells of a three-dimensional box."""
 
     origin: Array
     """(3,) [m]."""

@@ -1,4 +1,4 @@
-"""Derivatives of runs by parameters: the tangent of exponential steps, in the same loop.
+"""Derivatives of runs for parameters: the tangent of exponential steps, in the same loop.
 
 A system da/dt = f(a) has the tangent ds/dt = J(a) s + df/dp for each parameter p. The steps of
 `sphrom.kernels.exponential`, applied to both, give the exact derivative of the discrete run. The

@@ -217,12 +217,12 @@ class Uncertainty:
 
     @property
     def covariance(self) -> Array:
-        """(n_parameters, n_parameters)."""
+        """(n_parameters, n_parameters) of the estimate."""
         return self.noise + self.model
 
     @property
     def correlation(self) -> Array:
-        """(n_parameters, n_parameters)."""
+        """(n_parameters, n_parameters) of the estimate."""
         deviation = np.sqrt(np.diag(self.covariance))
         return np.asarray(self.covariance / np.outer(deviation, deviation))
 

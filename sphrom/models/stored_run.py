@@ -137,7 +137,7 @@ class ComputedRun(StoredRun):
 
     @cached_property
     def coordinates(self) -> Array:
-        """(n_snapshots, n_modes)."""
+        """(n_snapshots, n_modes) of the run."""
         return self._run.read("generalized_coordinates")
 
     @property

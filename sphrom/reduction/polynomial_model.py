@@ -62,7 +62,7 @@ class OutputTimes:
 
     @property
     def largest_square(self) -> float:
-        """Square of the largest norm of coordinates that has not diverged."""
+        """Square of the norm beyond which coordinates have diverged."""
         return (self.largest_norm * max(1.0, self.duration / self.trained)) ** 2
 
     @cached_property

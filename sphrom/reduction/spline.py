@@ -218,7 +218,7 @@ class LocalSplines(CellSplines, ModeSplines):
 
     @property
     def grid(self) -> Grid:
-        """The cells [m]."""
+        """The cells of the domain [m]."""
         return cell_grid(self.domain, (int(self.cell_shape[0]), int(self.cell_shape[1])))
 
     def _fill(self, place: Vector, *out: Array) -> None:

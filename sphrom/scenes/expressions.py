@@ -50,7 +50,7 @@ _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
 @dataclass(frozen=True)
 class Function:
-    """A function of Python."""
+    """A Python function."""
 
     name: str
     call: Callable[..., Any]

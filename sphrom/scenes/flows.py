@@ -376,15 +376,16 @@ class OpenCavity(Scene):
 
     The force of Eq. 4.5 acts only in the channel above the cavity.
 
-    The text of Rodriguez et al. does not determine this flow, so the constants are our reading of
-    it. With f = -t, Eq. 4.5 as printed is not "ramped up": the force starts at 98 m/s2, is half of
-    that after f0 = 0.01 s and then stays at 0.1 m/s2. That kick accelerates the channel to about
-    0.35 m/s. The remaining force is too weak to sustain even that speed at Re = 2400 or to make the
-    shear layer shed vortices, and far from the reference speed of 2 m/s. If the force ramped up to
-    100 m/s2, the fluid would exceed that speed after 0.04 s and the speed of sound after 0.4 s. A
-    sustained 0.58 m/s2 gives the flow that the text describes: the largest speed is 2 m/s, and
-    vortices are shed periodically, about five in the recorded second. So the form is kept, with
-    f0 = 0.03 s and k0 = 0.0058: a longer kick to reach the speed, and a force that sustains it.
+    The text of Rodriguez et al. does not determine this flow, so the constants are our
+    interpretation. With f = -t, Eq. 4.5 as printed is not "ramped up": the force starts at 98 m/s2,
+    is half of that after f0 = 0.01 s and then stays at 0.1 m/s2. That kick accelerates the channel
+    to about 0.35 m/s. The remaining force is too weak to sustain even that speed at Re = 2400 or to
+    make the shear layer shed vortices, and far from the reference speed of 2 m/s. If the force
+    ramped up to 100 m/s2, the fluid would exceed that speed after 0.04 s and the speed of sound
+    after 0.4 s. A sustained 0.58 m/s2 gives the flow that the text describes: the largest speed is
+    2 m/s, and vortices are shed periodically, about five in the recorded second. So the form is
+    kept, with f0 = 0.03 s and k0 = 0.0058: a longer kick to reach the speed, and a force that
+    sustains it.
     """
 
     channel_length: float = 0.4

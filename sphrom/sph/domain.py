@@ -154,7 +154,7 @@ class Domain(ABC):
 
     @property
     def thinnest_solid(self) -> float:
-        """The least width of a solid between fluid and fluid [m]; infinite if there is none."""
+        """The least width of a solid with fluid on both sides [m]; infinite if there is none."""
         return self._least_widths[1]
 
     @cached_property

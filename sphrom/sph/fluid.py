@@ -116,7 +116,7 @@ class Discretization:
 
     @property
     def walls(self) -> WallKind:
-        """The rule of walls."""
+        """The wall rule."""
         return KINDS[self.wall_kind]
 
     @property
@@ -139,7 +139,7 @@ class StepLimits:
 
     @property
     def least(self) -> float:
-        """The smaller limit."""
+        """The smaller of both limits [s]."""
         return min(self.acoustic, self.viscous)
 
 

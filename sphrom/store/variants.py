@@ -51,7 +51,7 @@ class Variant:
 
     @property
     def workspace(self) -> Workspace:
-        """Its artifacts."""
+        """The artifacts of the variant."""
         return Workspace(self.context)
 
     def made(self, stages: Iterable[Stage]) -> Workspace:

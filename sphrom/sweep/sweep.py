@@ -218,7 +218,7 @@ class Results:
         self._whole = workspace.sweep()
 
     def discard(self) -> None:
-        """Remove all runs."""
+        """Remove all runs of the sweep."""
         for target in self._targets():
             target.path.unlink()
 

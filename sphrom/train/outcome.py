@@ -114,7 +114,7 @@ class Outcome:
 
     @property
     def tolerance(self) -> float:
-        """The tolerance [%]."""
+        """The tolerance of the training [%]."""
         return percentage(self.section.tolerance)
 
     @property

@@ -1,4 +1,4 @@
-"""Derivatives of reduced runs by the parameters, from the model's own equations.
+"""Derivatives of reduced runs with respect to the parameters, from the model's own equations.
 
 The coordinates a of a model follow da/dt = f(a, t; p). Their derivatives s = da/dp follow the
 tangent equations ds/dt = J(a) s + df/dp, starting from the derivative of the start. Both are

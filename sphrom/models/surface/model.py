@@ -62,7 +62,7 @@ class SurfaceModelAt:
     output_times: OutputTimes
 
     def run(self) -> GraphRun:
-        """Return a run."""
+        """Run the model from its start."""
         return self.graph.run(self.output_times.time, self.start)
 
     def sampled(self, points: Array, time: Array, coordinates: Array) -> Samples:
