@@ -229,7 +229,7 @@ class Result:
     @property
     @guarded()
     def error_estimate(self) -> ErrorEstimate | None:
-        """The estimated errors of the run; None if the case has no estimates, or on particles."""
+        """The estimated errors of the run; None on particles or without estimates in the case."""
         return self._estimate()
 
     @property

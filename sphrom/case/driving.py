@@ -298,7 +298,7 @@ class Driving:
         return min(periods, default=math.inf)
 
     def times(self, until: float, number: int = N_CHECKED) -> Array:
-        """Return times of a run [s] with the extreme values of histories, in rising order."""
+        """Return times of a run [s] with the extreme values of histories, ascending."""
         times = [np.linspace(0.0, until, number)]
         for history in self.histories.values():
             rows = history.rows[:, (history.rows[0] >= 0.0) & (history.rows[0] <= until)]

@@ -2,7 +2,7 @@
 
 ParaView 5.12 and later opens artifacts with fields directly. Exported files also open in older
 versions, do not need the artifact, and show more: the ghosts of walls, and the fields of runs that
-store only coordinates, computed with the same bits as those that `output: snapshots` stores.
+store only coordinates, bitwise equal to those that `output: snapshots` stores.
 """
 
 from __future__ import annotations

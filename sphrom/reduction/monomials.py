@@ -15,7 +15,7 @@ def monomials(states: Array) -> Array:
 
 
 def monomials_of(modes: Indices, n_modes: int) -> Indices:
-    """Return the numbers of the monomials of some modes, in rising order, among those of all."""
+    """Return the indices of some modes' monomials among those of all modes, ascending."""
     first, second = np.triu_indices(n_modes)
     products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
     return np.concatenate(([0], 1 + modes, 1 + n_modes + products))

@@ -137,7 +137,7 @@ class FastModel(Model[ReferenceModel]):
         return FastRun(**vars(integrator.run()), model=self, point=point, reduced=reduced)
 
     def runs(self, points: Sequence[ParameterPoint]) -> Iterator[FastRun]:
-        """Run the model at many points, with the bits of single runs."""
+        """Run the model at many points; results are bitwise equal to single runs."""
         from sphrom.models.points.many_runs import MOST, can_run_together, run_together
 
         for name, group in groupby(points, self.basis_at):

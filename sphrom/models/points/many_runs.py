@@ -1,7 +1,7 @@
 """Many runs of a model with one basis, computed at once except for the time steps.
 
-Arrays have a first axis of runs. Their operations take each run by itself, so that its numbers have
-the bits of a single run.
+Arrays have a first axis of runs. Operations treat each run by itself, so that results are bitwise
+equal to single runs.
 """
 
 from __future__ import annotations
