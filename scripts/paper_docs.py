@@ -147,18 +147,25 @@ def _copy_figures(folder: Path, scene: str, run: Any) -> None:
     for figure in run.case.compare.figures:
         path = run.out / FOLDER / f"{figure.name}.png"
         if path.is_file():
-            write_small(path, folder / _picture(scene, figure.name, run.reading), WIDTH)
+            stem = _stem(scene, figure.name, run.reading)
+            for older in folder.glob(f"{stem}.*"):
+                older.unlink()
+            write_small(path, folder / f"{stem}.webp", WIDTH)
 
 
-def _picture(scene: str, figure: str, reading: str) -> str:
-    return f"{scene}-{figure}-{reading.replace(' ', '-')}.png"
+def _stem(scene: str, figure: str, reading: str) -> str:
+    return f"{scene}-{figure}-{reading.replace(' ', '-')}"
 
 
 def _figures(folder: Path, scene: str, made: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
     """Yield each figure by its number, from both cases, with the size and the command."""
     for figure in load_case(CASES / f"{scene.replace('-', '_')}.yaml").compare.figures:
-        names = {reading: _picture(scene, figure.name, reading) for reading in made}
-        names = {reading: name for reading, name in names.items() if (folder / name).is_file()}
+        stems = {reading: _stem(scene, figure.name, reading) for reading in made}
+        names = {
+            reading: path.name
+            for reading, stem in stems.items()
+            for path in folder.glob(f"{stem}.*")
+        }
         if names:
             yield from (f"### {paper_page.numbered(figure.name)}", "")
         for reading, name in names.items():

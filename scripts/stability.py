@@ -38,9 +38,10 @@ from sphrom.console import Reporter
 from sphrom.errors import UnstableError
 from sphrom.models import fom
 from sphrom.models.points.fast_model import FastModel, FastRun
-from sphrom.models.stable_ranges import FILE, StableRange
+from sphrom.models.stable_ranges import FILE, MEMORY, STEP, StableRange
 from sphrom.models.starts import scene_start
 from sphrom.plots.panels import save
+from sphrom.reduction.polynomial_model import EXPONENTIAL, RUNGE_KUTTA
 from sphrom.reduction.reference_model import Integrator
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
@@ -264,6 +265,49 @@ def drawn(name: str, out: Path) -> None:
         print("| " + " | ".join(_cells(StableRange(**row))) + " |")
 
 
+def judge_predictions(out: Path, names: Sequence[str]) -> None:
+    """Print how good predictions of limits are, and estimated errors outside of the trained values.
+
+    A limit is good if it lies between the longest stable and the shortest unstable value.
+    """
+    documents = {n: json.loads((out / n / FILE).read_text(encoding="utf-8")) for n in names}
+    for varied, method, size in (
+        (STEP, RUNGE_KUTTA, "time_step"),
+        (MEMORY, EXPONENTIAL, "memory_length"),
+    ):
+        counts: Counter[str] = Counter()
+        for document in documents.values():
+            for row in document["ranges"]:
+                same = {key: row[key] for key in ("varied", "projection", "n_modes", "steps")}
+                if row["varied"] == varied and (row["kind"], row["steps"]) == ("fast", method):
+                    runs = [e for e in document["extremes"] if same.items() <= e.items()]
+                    unstable = [e[size] for e in runs if e["state"] == "unstable"]
+                    counts[_judgement(row["predicted"], row["stable_to"], unstable)] += 1
+        print(f"{varied}, {method}: {dict(counts)}")
+    for name, document in documents.items():
+        outside = [e for e in document["extremes"] if e["kind"] == "fast" and e["extrapolated"]]
+        for varied in dict.fromkeys(each["varied"] for each in outside):
+            runs = [each for each in outside if each["varied"] == varied]
+            medians = [_over_estimates(runs, field) for field in ("velocity", "pressure")]
+            print(f"{name}, {varied}: median error over its estimate {np.round(medians, 2)}")
+
+
+def _over_estimates(runs: Sequence[dict[str, Any]], field: str) -> float:
+    """Return the median error of a field over its estimate; NaN without any."""
+    told = [each for each in runs if each[f"{field}_estimate"] and each[f"{field}_error"]]
+    return float(np.median([e[f"{field}_error"] / e[f"{field}_estimate"] for e in told]))
+
+
+def _judgement(predicted: float | None, stable_to: float | None, unstable: list[float]) -> str:
+    if not unstable:
+        return "never unstable"
+    if predicted is None or stable_to is None:
+        return "no prediction"
+    if predicted < stable_to:
+        return "below the longest stable value"
+    return "good" if predicted <= min(unstable) else "above the shortest unstable value"
+
+
 def _cells(each: StableRange) -> tuple[str, ...]:
     def span(low: float | None, high: float | None) -> str:
         return "nowhere" if low is None else f"{low:.3g} to {high:.3g}"
@@ -290,6 +334,8 @@ def main() -> None:
         else:
             mapped(name, given.out)
             drawn(name, given.out)
+    if not given.turnovers:
+        judge_predictions(given.out, given.scenes)
 
 
 if __name__ == "__main__":

@@ -181,8 +181,12 @@ def _allowed_branch(node: Node) -> str:
         each = "a mapping" if is_mapping else allowed(node["items"])
         return f"a list of {number}, each {each}"
     if kind == "object":
-        keys = list(node.get("properties", {}))
-        return f"a mapping of keys ({', '.join(keys)})" if keys else "a mapping"
+        if keys := list(node.get("properties", {})):
+            return f"a mapping of keys ({', '.join(keys)})"
+        values = [value for child in _children(node, "name") for value in branches(child)]
+        keys = [key for one in values for key in one.get("required", ())] or _keys(values)
+        value = f"{{{keys[0]}: ...}}" if keys else "..."
+        return f"a mapping of names, such as {{name: {value}}}" if values else "a mapping"
     if "pattern" in node:
         return NAME_WORDS
     if "examples" in node:

@@ -250,6 +250,14 @@ class FlowRow:
     """Frequency of v at the station; None without a station, or with less than two periods."""
 
 
+@dataclass(frozen=True)
+class FlowRowInSpace(FlowRow):
+    """The flow of one run in three dimensions."""
+
+    kinetic_energy: float = field(metadata={"unit": "J"})
+    """Mean over time."""
+
+
 def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
     """Return the mean of u over the scene's channel and over time [m/s]; None without a channel."""
     channel = case.scene.channel
@@ -284,7 +292,8 @@ def flow_row(
         crosswise = samples.velocity[:, probes.at_stations][:, 0, 1]
         with suppress(ValueError):
             frequency = dominant_frequency(samples.time[counted], crosswise[counted])
-    return FlowRow(
+    kind = FlowRow if case.scene.domain.n_dim == 2 else FlowRowInSpace
+    return kind(
         run=run.name,
         parameters=point.label,
         from_time=float(run.time[counted][0]),

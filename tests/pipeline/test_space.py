@@ -61,7 +61,8 @@ def test_all_stages_lead_to_the_fast_model(made, peaks) -> None:
 
 
 def test_forces_flow_rates_and_probes_have_all_components(made) -> None:
-    with open_artifact(made(DUCT) / RUN, "sphrom/trajectory", made_by="") as run:
+    folder = made(DUCT)
+    with open_artifact(folder / RUN, "sphrom/trajectory", made_by="") as run:
         first, second = (read_quantities(run, name)["flow_rate"] for name in ("first", "second"))
         np.testing.assert_allclose(first, second, rtol=1e-3)
         walls = ("on_bottom", "on_top", "on_back", "on_front")
@@ -69,8 +70,12 @@ def test_forces_flow_rates_and_probes_have_all_components(made) -> None:
         time = run.read("time")
         mass = 1.25 * run.number("reference_density")
         momentum = mass * run.read("velocity").mean(axis=1)
+        energy = 0.5 * mass * np.mean(np.sum(run.read("velocity") ** 2, axis=2), axis=1)
         probe = read_quantities(run, "middle")["velocity"]
     assert forces.shape == momentum.shape == (len(time), 3)
+    flow = read_csv(folder / "tables" / "flow.csv").iloc[0]
+    counted = time >= flow["from_time [s]"] - 1e-9
+    assert flow["kinetic_energy [J]"] == pytest.approx(energy[counted].mean(), rel=1e-6)
     assert time[0] == pytest.approx(0.1)
     gained = np.trapezoid(np.array([mass, 0.0, 0.0]) - forces, time, axis=0)
     np.testing.assert_allclose(momentum[-1] - momentum[0], gained, rtol=0.02, atol=1e-3 * mass)
