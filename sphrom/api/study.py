@@ -136,14 +136,14 @@ class Study:
 
         Parameters
         ----------
-        stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, train, fit, export,
-            report or check.
+        stage : fom, map, pod, fit-psi, operators, rom, compare, figures, trade, extremes, sweep,
+            train, fit, export, report, check or draw.
         only : parameter values to run at, such as `["reynolds=100"]`, or `["lid=0.8"]` for all
-            points with that value; for rom also names of models.
+            points with that value; for rom and export also names of models.
         options : the command's own options: `workers` and `scheduler` of fom, map, rom, trade,
-            sweep and train; `tolerance` of trade and train; `shard` and `collect` of sweep;
-            `budget` and `write_case` of train; `measurements`, `noise` and `name` of fit; `to`,
-            `into`, `at` and `columns` of export.
+            sweep and train; `tolerance` of trade and train; `quick` of extremes; `shard` and
+            `collect` of sweep; `budget` and `write_case` of train; `measurements`, `noise` and
+            `name` of fit; `to`, `into`, `at` and `columns` of export.
         """
         names = [name for name in stages.STAGES if name != "import"]
         name = stage.replace("_", "-")

@@ -84,7 +84,7 @@ def _references(case: Case) -> Iterator[tuple[str, str, Collection[str | None], 
     models = [model.name for model in case.rom]
     fast = [model.name for model in case.rom if model.from_operators]
     bases, parameters, varied = (ALL, *case.basis.subsets), "parameter", "parameter that varies"
-    own = (REYNOLDS, *case.plan.own_values)
+    own = dict.fromkeys((REYNOLDS, *case.plan.own_values))
     varying = case.plan.parameter_names
     yield "parameters.train", parameters, case.parameters.train.names, own
     yield "parameters.test", parameters, case.parameters.test.names, own

@@ -192,7 +192,7 @@ SURFACE_DEFAULTS: Mapping[str, Any] = {
 """Defaults of other sections for scenes with a free surface.
 
 A lattice under pressure resists shear like a solid, because the kernel's sums are inexact on a
-strained lattice: at h = 2 dx waves are 0.6 % too fast. Only viscous forces along pairs are
+strained lattice: at h = 2 dx waves are 0.9 % too fast. Only viscous forces along pairs are
 consistent at the surface (Colagrossi et al., Phys. Rev. E 84, 2011). Walls of kind `adjoint` give
 no energy to sound, so that fluid at rest stays at rest. The damper is weak, because sums over an
 incomplete support have a divergence at the surface.

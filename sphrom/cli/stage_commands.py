@@ -73,8 +73,8 @@ def fit_psi(options: Options) -> None:
     """Fit splines to the modes: psi.h5.
 
     \b
-    Example, with splines of a higher order, overwriting earlier ones:
-      sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --force
+    Example, with polynomials of a higher degree, overwriting earlier splines:
+      sphrom fit-psi cases/taylor_green_demo.yaml --set psi.polynomial_degree=2 --force
     """
 
 
@@ -99,7 +99,7 @@ def rom(options: Options) -> None:
     which its key `parameters` lists.
 
     \b
-    Example, a parameter value without a full run, then a single model:
+    Example, one parameter value, then a single model:
       sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
       sphrom rom cases/taylor_green_demo.yaml --only fast-m5
     """
