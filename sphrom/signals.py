@@ -25,6 +25,11 @@ MOMENT = 0.01
 """Time after which a lost signal is sent again [s]."""
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
 """Error numbers of a full disk or memory."""
+_terminated: list[bool] = []
+"""Not empty after a first SIGTERM, so that a second one does not disturb the clean-up.
+
+A pool of processes sends one to all others as soon as the first has ended.
+"""
 Handler = Callable[[int, FrameType | None], Any]
 
 
@@ -44,7 +49,9 @@ def termination_interrupts() -> Iterator[None]:
     """Within the block, SIGTERM raises Terminated."""
 
     def terminate(*_: object) -> None:
-        raise Terminated
+        if not _terminated:
+            _terminated.append(True)
+            raise Terminated
 
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread receives signals
@@ -54,6 +61,7 @@ def termination_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+        _terminated.clear()
 
 
 def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
@@ -117,6 +125,7 @@ def interrupts_come_again() -> Iterator[None]:
 
     def send(number: signal.Signals) -> None:
         time.sleep(MOMENT)
+        _terminated.clear()
         _thread.interrupt_main(number)
         lost.pop()
 

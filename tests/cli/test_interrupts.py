@@ -5,6 +5,7 @@ import signal
 import sys
 import time
 import weakref
+from contextlib import ExitStack
 
 import pytest
 
@@ -42,6 +43,26 @@ def test_an_interrupt_is_lost_at_no_moment(monkeypatch, capsys, kind):
             work()
     assert sys.unraisablehook is before
     assert capsys.readouterr().err == ""
+
+
+def test_a_second_termination_does_not_disturb_the_clean_up() -> None:
+    cleaned: list[bool] = []
+
+    def clean() -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.001)
+        cleaned.append(True)
+
+    def work() -> None:
+        with ExitStack() as stack:
+            stack.callback(clean)
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(10.0)
+
+    for _ in range(2):
+        with pytest.raises(Terminated), termination_interrupts(), interrupts_come_again():
+            work()
+    assert cleaned == [True, True]
 
 
 def test_other_exceptions_are_told_as_before(monkeypatch):
