@@ -28,7 +28,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 $(TOOLS): $(INSTALLED)
 	$(INSTALL) -e '.[dev]'
-	@touch $@
+	@touch $@ $(DOCUMENTER)
 
 $(DOCUMENTER): $(INSTALLED)
 	$(INSTALL) -e '.[docs]'
@@ -53,13 +53,13 @@ test-all: $(TOOLS) ## run all tests, with clusters, browsers and every command o
 	$(BIN)/python -m pytest $(PARALLEL)
 
 NUMERIC := tests/fit tests/kernels tests/metrics tests/reduction tests/pipeline/test_fit.py
-.PHONY: test-processors
-test-processors: $(TOOLS) ## run fast numeric tests, compiled for two older processors (x86-64 alone)
-	@if [ "$$(uname -m)" = x86_64 ]; then for name in nehalem haswell; do \
-	  NUMBA_CPU_NAME=$$name NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=$$name \
-	    SPHROM_CACHE=build/kernels-$$name \
-	    $(BIN)/python -m pytest $(PARALLEL) $(NUMERIC) || exit $$?; \
-	done; fi
+PROCESSORS := $(if $(filter x86_64,$(shell uname -m)),nehalem haswell)
+.PHONY: test-processors $(PROCESSORS:%=test-%)
+test-processors: $(PROCESSORS:%=test-%) ## run fast numeric tests, compiled for two older processors (x86-64 alone)
+# One process each, because two would compile the same kernels; `make -j2` runs both at once.
+$(PROCESSORS:%=test-%): test-%: $(TOOLS)
+	NUMBA_CPU_NAME=$* NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=$* SPHROM_CACHE=build/kernels-$* \
+	  $(BIN)/python -m pytest -p no:cacheprovider $(NUMERIC)
 
 .PHONY: check
 check: $(TOOLS) ## lint, types, import contracts
@@ -78,13 +78,11 @@ PYTHONS ?= $(PYTHON)
 wheel: $(INSTALLED) ## build a wheel and use it in an empty folder; PYTHONS="python3.11 python3.12": for each
 	$(BIN)/python scripts/try_wheel.py $(PYTHONS)
 
-.PHONY: smoke
-smoke: $(INSTALLED) ## every scene and one of the gallery end to end on a coarse grid, in a folder of its own
-	@for scene in $(SCENES); do \
-	  $(BIN)/sphrom run cases/$$(echo $$scene | tr - _)_demo.yaml --out runs/smoke/$$scene \
-	    --force || exit $$?; \
-	done
-	$(BIN)/sphrom run cases/gallery/cylinder.yaml --out runs/smoke/cylinder --force
+SMOKE := $(foreach scene,$(SCENES),$(subst -,_,$(scene))_demo) gallery/cylinder
+.PHONY: smoke $(SMOKE:%=smoke/%)
+smoke: $(SMOKE:%=smoke/%) ## every scene and one of the gallery end to end on a coarse grid, in folders of their own
+$(SMOKE:%=smoke/%): smoke/%: $(INSTALLED)
+	$(BIN)/sphrom run cases/$*.yaml --out runs/smoke/$* --force
 
 .PHONY: reproduce
 reproduce: $(INSTALLED) ## SCENE=...: the paper's experiment, corrected and as printed, on one page; days
