@@ -46,12 +46,18 @@ def visible(text: str, keep: str = "") -> str:
 def shortened(text: str, most: int = 300, keep: str = "") -> str:
     """Return an external text in visible characters; a long text loses its middle.
 
-    Characters in `keep` are never escaped.
+    No word or number at the gap is cut, unless it is long. Characters in `keep` are never escaped.
     """
     half = most // 2
     if len(text) > most:
-        text = f"{text[:half]} ... {text[-half:]}"
+        text = f"{_begin(text, half)} ... {_begin(text[::-1], half)[::-1]}"
     return visible(text, keep)
+
+
+def _begin(text: str, most: int) -> str:
+    """Return the first characters of a longer text, without the part of a last word."""
+    part = rf"\s\S{{,{most // 2}}}$"
+    return re.sub(part, "", text[: most + 1])[:most]
 
 
 def quoted(value: Any) -> str:
@@ -59,7 +65,7 @@ def quoted(value: Any) -> str:
     text = json.dumps(value, default=str)
     if isinstance(value, str):
         text = "'" + text[1:-1].replace('\\"', '"') + "'"
-    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+    return text if len(text) <= MAX_SHOWN else _begin(text, MAX_SHOWN - 3) + "..."
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

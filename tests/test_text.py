@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sphrom.text import exact, visible
+from sphrom.text import exact, quoted, shortened, visible
 
 
 @pytest.mark.parametrize(
@@ -42,3 +42,15 @@ def test_nothing_is_left_that_a_terminal_obeys(text):
 )
 def test_what_is_escaped(text, shown):
     assert visible(text) == shown
+
+
+def test_a_long_list_of_numbers_is_cut_between_them() -> None:
+    times = ", ".join(f"{0.02 * k:.6g}" for k in range(26))
+    shown = shortened(times, 60)
+    begin, end = shown.split(" ... ")
+    assert times.startswith(f"{begin} ")
+    assert times.endswith(f" {end}")
+    assert len(shown) <= 65
+    assert len(shown) > 50
+    assert shortened("x" * 100, 20) == f"{'x' * 10} ... {'x' * 10}"
+    assert quoted([0.125] * 20) == f"[{'0.125, ' * 7}0.125,..."

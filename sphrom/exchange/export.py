@@ -46,6 +46,8 @@ FIELDS, PROBES, MODEL, UNIT, PAGE = "vtu", "csv", "model", "fmu", "page"
 """Fields for ParaView, tables of histories at points, and trained models for other programs, as
 documents, as units for system simulation, or as pages that run them."""
 POINTS = "reference_position"
+_COMPUTED = "sphrom/coordinates"
+"""The kind of artifact that may store all fields that are computed."""
 _VERTEX = 1
 """VTK's type of a cell with a single point."""
 _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
@@ -64,6 +66,8 @@ class Item:
 class Source:
     """The fields of an artifact, stored or computed."""
 
+    schema: str
+    """The kind of artifact with these datasets; computed fields are those of coordinates."""
     shapes: Mapping[str, Shape]
     """The shapes of the datasets, by name."""
     read: Callable[[str, Any], NDArray[Any]]
@@ -144,7 +148,7 @@ def _write_all(workspace: Workspace, folder: Path) -> int:
     n_written = 0
     for item in [*_runs(workspace), *([] if context.models else _others(workspace))]:
         with _opened(workspace, item) as source:
-            for name, view in views(item.target.schema, source.shapes).items():
+            for name, view in views(source.schema, source.shapes).items():
                 path = folder / f"{item.target.path.stem}{'-' * bool(name)}{name}.pvd"
                 make_folder(folder, "--into")
                 write_vtu(path, source, view, force=context.force)
@@ -162,6 +166,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
     """
     point = item.point
     model = item.model
+    schema = item.target.schema
     with workspace.open(item.target) as artifact:
         shapes = {name: artifact.dataset(name).shape for name in artifact.datasets}
         computed: dict[str, Callable[[Any], Array]] = {}
@@ -179,13 +184,14 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
             shape = (artifact.length("time"), len(points))
             shapes |= dict.fromkeys(computed, shape)
             shapes |= {POINTS: points.shape, "velocity": (*shape, points.shape[1])}
+            schema = _COMPUTED
 
         def read(name: str, index: Any) -> NDArray[Any]:
             if name in computed:
                 return computed[name](index)
             return np.asarray(artifact.dataset(name)[index])
 
-        yield Source(shapes, read)
+        yield Source(schema, shapes, read)
 
 
 def write_vtu(path: Path, source: Source, view: View, *, force: bool) -> None:

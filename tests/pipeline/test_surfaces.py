@@ -177,7 +177,12 @@ def test_trade_weighs_sizes(
     sphrom("trade", "tank.yaml", "--extremes", code=2)
     sphrom("train", "tank.yaml", code=2)
     assert "no splines" in sphrom("fit-psi", "tank.yaml", code=0).stdout
-    sphrom("export", "tank.yaml", code=0)
+    only = "--only", "fast", "--only", "reynolds=500,ratio=0.85"
+    sphrom("export", "tank.yaml", *only, code=0)
+    (exported,) = (out / "export").glob("rom-*.pvd")
+    steps = list((out / "export" / exported.stem).glob("*.vtu"))
+    with h5py.File(out / f"{exported.stem}.h5") as run:
+        assert len(steps) == len(run["time"])
     sphrom("report", "tank.yaml", code=0)
 
 
