@@ -133,16 +133,18 @@ def run_all(context: StageContext, until: str | None = None) -> None:
     """Run all stages that the case needs, up to and including the stage `until`.
 
     Valid artifacts are kept. An artifact that no longer belongs to the case is made again with
-    `force`, and stops the run otherwise. If a reduced model diverges, the others are still
+    `force`, and stops the run otherwise, before anything is computed. If a reduced model diverges, the others are still
     compared, and the error is raised at the end. Each stage reports one line, and its details go to
     the log; the last stage reports the results.
 
     Raises CaseError when there is no such stage.
     """
+    from sphrom.models.stages import require_replaceable
     from sphrom.store.workers import compiled_ahead
 
     unstable: UnstableError | None = None
     stages = _needed(context.case, until)
+    require_replaceable(context, stages)
     has_listed = "operators" in stages and context.case.scene.domain.n_dim == 2
     ahead = compiled_ahead() if has_listed else nullcontext()
     with ahead, _whole(replace(context, keep_valid=True), stages, {}) as context:

@@ -13,6 +13,7 @@ import contextlib
 import hashlib
 import math
 import os
+import re
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -54,6 +55,8 @@ SMALL_BYTES = 2**20
 available memory, because the check takes longer [bytes]."""
 MOST_KNOWN = 256
 """Number of files whose contents are remembered; the last ones opened are kept."""
+Value = str | tuple[str, ...]
+"""A value of a case as text, or a list of such values."""
 BLOCK_BYTES = 2**23
 """Approximate size of the blocks in which values are verified [bytes]."""
 SHOWN_KEYS = 4
@@ -314,24 +317,49 @@ def case_differences(made_with: str, asked: str, sections: Collection[str]) -> s
     )
     differences = []
     for key in keys[:SHOWN_KEYS]:
-        made, wanted = (
-            shortened(case.get(key, "absent"), MOST_CHARACTERS) for case in (there, here)
-        )
+        made, wanted = _shown(there.get(key, "absent"), here.get(key, "absent"))
         differences.append(f"{shortened(key)} is {made} there, {wanted} here")
     return "; ".join(differences)
 
 
-def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield `a.b[0]` and its value for every value that contains no others."""
+def _shown(made: Value, wanted: Value) -> tuple[str, str]:
+    """Return two values as texts; of long lists, the items before and after their differences."""
+    first = last = 0
+    most = 0
+    if isinstance(made, tuple) and isinstance(wanted, tuple):
+        if max(len(", ".join(one)) for one in (made, wanted)) > MOST_CHARACTERS:
+            most = min(len(made), len(wanted))
+        while first < most and made[first] == wanted[first]:
+            first += 1
+        while last < most - first and made[-1 - last] == wanted[-1 - last]:
+            last += 1
+
+    def text(value: Value) -> str:
+        if isinstance(value, str):
+            return shortened(_number(value), MOST_CHARACTERS)
+        items = [*map(_number, value[first : len(value) - last])]
+        items = ["..."] * (first > 0) + items + ["..."] * (last > 0)
+        return f"[{shortened(', '.join(items), MOST_CHARACTERS)}]"
+
+    return text(made), text(wanted)
+
+
+def _number(text: str) -> str:
+    """Return a value without the decimals of a whole number."""
+    return text.removesuffix(".0") if re.fullmatch(r"-?\d+\.0", text) else text
+
+
+def _values(value: Any, path: str = "") -> Iterator[tuple[str, Value]]:
+    """Yield `a.b[0]` and its value for every value, and list of values, that contains no others."""
     if isinstance(value, dict) and value:
         for key, one in value.items():
             # The contents of a file stand in other keys; its name makes no difference.
             yield from _values(one, f"{path}.{key}" if path else key) if key != "file" else ()
-    elif isinstance(value, list) and value:
+    elif isinstance(value, list) and any(isinstance(one, (dict, list)) for one in value):
         for i, one in enumerate(value):
             yield from _values(one, f"{path}[{i}]")
     elif path:
-        yield path, str(value)
+        yield path, tuple(value) if isinstance(value, list) else str(value)
 
 
 def read_record(artifact: Artifact, record: type[R], group: str = "", **others: Any) -> R:

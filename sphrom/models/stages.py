@@ -7,6 +7,8 @@ kernels of SPH.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from pathlib import Path
 
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records.reduced_models import HistoryTable
@@ -21,6 +23,36 @@ from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.tasks import Task, Told, recorded
 from sphrom.store.workers import made_by_workers
 from sphrom.store.workspace import Target, Workspace
+
+
+def require_replaceable(context: StageContext, stages: Sequence[str]) -> None:
+    """Check before several stages run that none would end at an artifact it must not overwrite.
+
+    Nothing is checked if a full run will be continued, which changes all later artifacts.
+
+    Raises ArtifactError that names the first such artifact.
+    """
+    workspace = Workspace(context)
+    case = context.case
+    plan = case.plan
+    if context.force or any([workspace.shorter_run(point) is not None for point in plan.points]):
+        return
+    last = [workspace.reduced_run(m, point) for m in case.rom for point in plan.rom_points(m)]
+    alone = [m for m in case.rom if family_of(case, m).can(Ability.RUNS_ALONE)]
+    last += [*map(workspace.model, alone), workspace.comparison()]
+    targets: dict[Path, Target] = {}
+
+    def add(target: Target) -> None:
+        if target.path not in targets:
+            for parent in target.parents.values():
+                add(parent)
+            targets[target.path] = target  # after its parents
+
+    for target in last:
+        add(target)
+    for target in targets.values():
+        if target.stage in stages:
+            workspace.require_replaceable(target)
 
 
 def map_runs(context: StageContext) -> None:

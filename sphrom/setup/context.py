@@ -25,6 +25,8 @@ class KnownArtifacts:
     identities: dict[Path, Identity] = field(default_factory=dict)
     written: list[Path] = field(default_factory=list)
     """The artifacts that were written, in order."""
+    told: set[str] = field(default_factory=set)
+    """The reasons why artifacts are made again, of which each is reported once."""
 
     def forget(self, path: Path) -> None:
         """Forget the states that writing an artifact may change: its own, and all invalid ones."""

@@ -88,27 +88,41 @@ class ArtifactFolder:
     def must_make(self, target: Target) -> bool:
         """Return whether a stage has to make an artifact, and report if it does not.
 
-        Raises ArtifactError if the artifact exists, is not valid, and must not be overwritten.
-        Imported artifacts are never overwritten.
+        Each reason why artifacts are made again is told once. Raises ArtifactError if the artifact
+        exists, is not valid, and must not be overwritten, as imported ones never are.
         """
-        exists = target.path.exists()
-        if target.path.is_dir():
-            raise ArtifactError(f"{target.path} is a folder where a file has to be: remove it")
         is_imported = self._import_command(target) is not None
         if self.context.force and not self.context.keep_valid and not is_imported:
+            self._require_no_folder(target)
             return True
-        reason = self.reason_to_make(target)
+        reason = self.require_replaceable(target)
         if reason is None:
             self.context.report.info(f"{target.path.name}: up to date, kept")
             return False
-        if is_imported:
+        if target.path.exists():
+            known = self.context.known.told
+            tell = self.context.report.info if reason in known else self.context.report.note
+            tell(f"{target.path.name}: made again, because it {reason}")
+            known.add(reason)
+        return True
+
+    def require_replaceable(self, target: Target) -> str | None:
+        """Return why an artifact has to be made, or None, after checking that this is allowed.
+
+        Raises ArtifactError if the artifact exists, is not valid, and must not be overwritten.
+        """
+        self._require_no_folder(target)
+        reason = self.reason_to_make(target)
+        if reason is not None and self._import_command(target) is not None:
             self.require(target)
-        if exists and not self.context.force:
+        if reason is not None and target.path.exists() and not self.context.force:
             self._require_parents(target)
             raise ArtifactError(f"{target.path} {reason}; `--force` makes it again")
-        if exists:
-            self.context.report.note(f"{target.path.name}: made again, because it {reason}")
-        return True
+        return reason
+
+    def _require_no_folder(self, target: Target) -> None:
+        if target.path.is_dir():
+            raise ArtifactError(f"{target.path} is a folder where a file has to be: remove it")
 
     def require(self, target: Target) -> None:
         """Raise ArtifactError that names the first cause, unless an artifact is valid."""

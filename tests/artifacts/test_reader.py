@@ -84,12 +84,12 @@ CASE = {
     [
         (CASE, {"floor": {"file": "floor.wkt"}}, ""),  # what it holds is beside it
         (CASE, {"name": "other", "train": []}, "name is demo there, other here; train is "
-         "absent there, [] here; train[0] is 100 there, absent here; train[1] is 150 there, absent "
-         "here"),
+         "[100, 150] there, [] here"),
         (CASE, {"rom": [{"method": "galerkin", "modes": 10}], "train": [100, 175]},
-         "rom[0].modes is 5 there, 10 here; train[1] is 150 there, 175 here; rom[1].method is apg "
-         "there, absent here"),
-        (("train",), {"name": "other", "train": [100, 175]}, "train[1] is 150 there, 175 here"),
+         "rom[0].modes is 5 there, 10 here; train is [100, 150] there, [100, 175] here; "
+         "rom[1].method is apg there, absent here"),
+        (("train",), {"name": "other", "train": [100.0, 20, 150]}, "train is [100, 150] there, "
+         "[100, 20, 150] here"),
     ],
 )  # fmt: skip
 def test_keys_in_which_cases_differ_are_named(sections, changed, told: str) -> None:
@@ -168,3 +168,10 @@ def test_a_lock_of_another_program_keeps_no_reader_out(write_trajectory) -> None
         fcntl.flock(file, fcntl.LOCK_EX)
         with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
             assert len(artifact.read("time")) == 3
+
+
+def test_of_long_lists_the_difference_is_shown() -> None:
+    there, here = list(range(100)), [*range(50), 49.5, *range(50, 100)]
+    texts = (yaml.safe_dump({"train": values}) for values in (there, here))
+    told = "train is [..., ...] there, [..., 49.5, ...] here"
+    assert case_differences(*texts, ("train",)) == told

@@ -106,8 +106,7 @@ MODELS = ("rom.0.n_modes=2", "rom.1.n_modes=2", "parameters.test.reynolds=[160]"
         (("fit-psi",), ("psi.order=5", "psi.polynomial_degree=2"),
          "psi.order is 3 there, 5 here; psi.polynomial_degree is 1 there, 2 here"),
         (("pod",), ("parameters.train.reynolds=[200, 100]",),
-         "parameters.train.reynolds[0] is 100.0 there, 200.0 here; "
-         "parameters.train.reynolds[1] is 200.0 there, 100.0 here"),
+         "parameters.train.reynolds is [100, 200] there, [200, 100] here"),
         (("rom", "--only=reynolds=100"), ("rom.0.memory_length=1e-4", "rom.0.projection=apg"),
          "rom[0].projection is galerkin there, apg here; "
          "rom[0].memory_length is auto there, 0.0001 here"),

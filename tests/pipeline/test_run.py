@@ -84,6 +84,14 @@ def test_a_changed_model_remakes_what_depends_on_it(place, sphrom, refused, dige
     changed = {name for name in before if before[name] != after[name]}
     assert changed == {*(f"rom-apg-reynolds{re}.h5" for re in (100, 150, 200)), "compare.h5"}
     assert "rom-apg-reynolds100.h5: made again, because it was made with" in made.stdout
+    assert made.stdout.count("made again") == 1
+
+
+def test_a_run_is_refused_before_anything_is_computed(place, refused, digests):
+    before = digests(place)
+    line = refused("run", "tiny.yaml", "--set", "parameters.train.reynolds=[100, 120, 200]")
+    assert "reynolds is [100, 200] there, [100, 120, 200] here" in line
+    assert digests(place) == before
 
 
 def test_only_one_value(empty, sphrom, refused):
