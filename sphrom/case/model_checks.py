@@ -202,7 +202,10 @@ def check_training_runs(case: Case) -> Found:
     asked = "rom" in case.model_fields_set and case.rom and not is_template
     if asked and not any(map(plan.is_driven, plan.train_points)):
         reason = "nothing drives the fluid in any training run, so that there are no modes"
-        remedy = "drive it, let it start in motion (scene.initial), or set rom: []"
+        remedy = (
+            "drive it, let it start in motion (scene.initial: u and v, or {file: first.csv} with "
+            "the first snapshot of runs that are imported), or set rom: []"
+        )
         yield "parameters.train", f"{reason}; {remedy}"
     if plan.reference_bases and plan.driving:
         try:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -126,13 +126,12 @@ class Converter:
         outside = int(np.sum(~domain.contains(position)))
         if outside or not 0.7 < distance / spacing < 1.9:
             fitting = self.options.fitting("length", spacing / (distance or spacing))
-            ends = zip(low.tolist(), high.tolist(), strict=True)
-            spans = " and ".join(f"{start:.6g} to {end:.6g} m" for start, end in ends)
+            beyond = f", and {outside} of them are outside of its fluid" if outside else ""
             raise CaseError(
-                f"{foreign.path}: {outside} of the particles are outside the scene; all of "
-                f"them span {spans}, with a spacing of {distance:.3g} m, and {spacing:.3g} m "
-                "in the case; check --units, --origin, --array and the size of the "
-                f"scene{fitting}"
+                f"{foreign.path}: the particles span {_spans(low, high)}, with a spacing of "
+                f"{distance:.3g} m; the scene spans {_spans(domain.lower, domain.upper)}, with a "
+                f"spacing of {spacing:.3g} m{beyond}; check --units, --origin, --array and the "
+                f"size of the scene{fitting}"
             )
         if domain.n_dim == 3:
             self._require_filled(foreign, position)
@@ -188,6 +187,12 @@ class Converter:
                 "of --units, fluid.reference_density and fluid.mach_number"
             )
         return fluctuation
+
+
+def _spans(lower: Iterable[float], upper: Iterable[float]) -> str:
+    """Return the ends of a box in words, axis by axis [m]."""
+    ends = zip(lower, upper, strict=True)
+    return " and ".join(f"{start:.6g} to {end:.6g} m" for start, end in ends)
 
 
 def _third(names: tuple[str, ...], fields: Collection[str]) -> str | None:

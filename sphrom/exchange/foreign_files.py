@@ -53,6 +53,11 @@ VTK_BYTES = (2 * 2**30, 8 * 2**30)
 PYSPH, NUMPY, STEPPED = (".hdf5", ".h5"), ".npz", (".vtkhdf", ".hdf")
 KINDS = (*PYSPH, NUMPY, ".vtu", ".vtp", ".vtk", *STEPPED)
 """The suffixes of files; those of `STEPPED` may have many snapshots."""
+REMEDY = (
+    "To write a snapshot with Python: numpy.savez('run_0.npz', t=time, x=x, y=y, u=u, v=v, p=p), "
+    "with arrays of one number per particle; then import *.npz with --pressure p"
+)
+"""Advice on files of other layouts."""
 Read = tuple[float, dict[str, NDArray[Any]]]
 """The time, NaN if the file does not have it, and the fields."""
 
@@ -143,7 +148,8 @@ def read_foreign(source: Source, array: str | None = None) -> ForeignSnapshot:
     path = source.path
     suffix = source.path.suffix.lower()
     if suffix not in KINDS:
-        raise ArtifactError(f"{path}: can't be read; the suffix must be one of {', '.join(KINDS)}")
+        kinds = ", ".join(KINDS)
+        raise ArtifactError(f"{path}: can't be read; the suffix must be one of {kinds}. {REMEDY}")
     with _refused(path):
         if suffix in PYSPH:
             time, values = _read_pysph(path, array)
@@ -196,7 +202,9 @@ def _read_pysph(path: Path, array: str | None) -> Read:
         if array is None and len(sets) == 1:
             (array,) = sets
         if array not in sets:
-            listed = ", ".join(sorted(sets)) or "none, because it has no /particles/<name>/arrays"
+            if not sets:
+                raise Fault(f"is not laid out as PySPH's files, by /particles/NAME/arrays. {REMEDY}")
+            listed = ", ".join(sorted(sets))
             raise Fault(f"needs the name of one of its sets of particles as --array: {listed}")
         prefix = f"particles/{array}/arrays/"
         shapes = {n: shape for n, (shape, _) in contents.datasets.items() if n.startswith(prefix)}
