@@ -230,7 +230,7 @@ def problems_of(error: ValidationError, data: Any) -> list[Problem]:
     parents = {path[:depth] for path in errors for depth in range(len(path))}
     deepest = [path for path in errors if path not in parents]
     return [
-        Problem(path, _reason(path, *errors[path], scene) if n < MAX_PROBLEMS else "")
+        Problem(path, _reason(path, *errors[path], data) if n < MAX_PROBLEMS else "")
         for n, path in enumerate(deepest)
     ]
 
@@ -257,13 +257,17 @@ def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path
     return tuple(path), data
 
 
-def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
-    """Describe the error of a value, in a case with a kind of scene."""
+def _reason(path: Path, value: Any, kind: str, data: Any) -> str:
+    """Describe the error of a value in a case with some data."""
+    scene = kind_of(data)
     if kind == "value_error":
         return str(value)
     if kind == "extra_forbidden":
         word = str(path[-1])
         known = known_keys(path[:-1], scene)
+        for inner in {"parameters", "train"}.intersection(known):
+            if word in _parameter_names(data):
+                return f"unknown key; did you mean {show_path((*path[:-1], inner, word))}?"
         elsewhere = (other for other in key_paths(kind=scene) if other[-1] == word)
         is_misspelt = get_close_matches(word, known, n=1, cutoff=0.8)
         if not is_misspelt and (similar := next(elsewhere, None)) is not None:
@@ -279,3 +283,16 @@ def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
     close = get_close_matches(str(value), known, n=1, cutoff=0.5)
     hint = f"; did you mean {close[0]}?" if close else ""
     return f"must be {may_be}; got {quoted(value)}{hint}"
+
+
+def _parameter_names(data: Any) -> set[str]:
+    """Return the names of a case's parameters and constants, from unchecked data."""
+
+    def section(*path: str) -> Mapping[str, Any]:
+        found = data
+        for name in path:
+            found = found.get(name) if isinstance(found, Mapping) else None
+        return found if isinstance(found, Mapping) else {}
+
+    given = section("scene", "constants"), section("parameters", "train")
+    return {str(name) for names in given for name in names}
