@@ -11,7 +11,7 @@ from sphrom.case.custom_sections import ShapedFluid
 from sphrom.case.discretization_checks import beyond_limits
 from sphrom.case.model_sections import AUTO
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint, outside
+from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, sweep_model, sweep_points
 from sphrom.case.tables import MeasuredSection
 from sphrom.case.waves import steeper_than_training
@@ -202,13 +202,9 @@ def beyond_training(trained_until: float) -> str:
 
 
 def extrapolation(case: Case, point: ParameterPoint) -> str | None:
-    """Return a warning if a point is outside of the trained range, else None."""
-    beyond = outside(point, case.plan.train_points)
-    if not beyond:
-        return None
-    ranges = " and ".join(f"{each} of {name}" for name, each in beyond.items())
-    where = f"{point.label} is outside of the trained range, {ranges}"
-    return f"{where}: a reduced model extrapolates there"
+    """Return a warning if a point is outside of the training points, else None."""
+    where = case.plan.beyond_training(point)
+    return where and f"{point.label} is {where}: a reduced model extrapolates there"
 
 
 def _of_numerics(case: Case) -> Iterator[str]:
@@ -262,10 +258,12 @@ def sweep_beyond_training(case: Case) -> Iterator[str]:
     points = sweep_points(case)
     if model is not None:
         yield from steeper_than_training(case, "sweep", points, model)
-    beyond = [point for point in points if outside(point, case.plan.train_points)]
-    if model is None or not beyond:
+    if model is None:
         return
-    yield (
-        f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].label}, are outside of "
-        f"the trained range: {model.name} extrapolates there"
-    )
+    where = {point: case.plan.beyond_training(point) for point in points}
+    beyond = [point for point in points if where[point] is not None]
+    if beyond:
+        yield (
+            f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].label}, are "
+            f"{where[beyond[0]]}: {model.name} extrapolates there"
+        )

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sphrom.arrays import Array
 from sphrom.case.model_sections import ReducedModelSection
-from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
+from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point, outside
 from sphrom.errors import CaseError
+from sphrom.reduction.correction import interpolation_weights
 
 if TYPE_CHECKING:
     from sphrom.case.models import Case
@@ -108,7 +110,45 @@ class PointsPlan:
     @cached_property
     def largest_values(self) -> Array:
         """The largest absolute trained value of each parameter (n_parameters,)."""
-        return np.abs([[*p.as_dict().values()] for p in self.train_points]).max(axis=0)
+        return np.abs(self._trained).max(axis=0)
+
+    def scaled(self, values: Array) -> Array:
+        """Return scaled parameters (..., n_parameters), used for distances, in the case's order.
+
+        The Reynolds number enters by its logarithm. The other parameters may be negative, so each
+        is divided by its largest trained value.
+        """
+        sizes = self.largest_values[1:]
+        others = values[..., 1:] / np.where(sizes > 0.0, sizes, 1.0)
+        return np.concatenate((np.log(values[..., :1]), others), axis=-1)
+
+    @cached_property
+    def _trained(self) -> Array:
+        """The parameters (n_points, n_parameters) of the training points."""
+        return np.array([[*point.as_dict().values()] for point in self.train_points])
+
+    @cached_property
+    def _trained_in_corners(self) -> bool:
+        """Whether training includes all corners of its ranges, so that its hull is their box."""
+        ends = zip(self._trained.min(axis=0).tolist(), self._trained.max(axis=0).tolist(), strict=True)
+        corners = {*product(*ends)}
+        return corners <= {*map(tuple, self._trained.tolist())}
+
+    def beyond_training(self, point: ParameterPoint) -> str | None:
+        """Return in words where a point is outside of the training points, else None.
+
+        It is outside of a parameter's range, or of the convex hull of the training points, where
+        models estimate their errors by extrapolation.
+        """
+        if ranges := outside(point, self.train_points):
+            listed = " and ".join(f"{each} of {name}" for name, each in ranges.items())
+            return f"outside of the trained range, {listed}"
+        if self._trained_in_corners:
+            return None
+        place = self.scaled(np.array([*point.as_dict().values()]))
+        if interpolation_weights(self.scaled(self._trained), place)[1] == 0.0:
+            return None
+        return "outside of the training points, though each value is in its trained range"
 
     def small_step(self, point: ParameterPoint, name: str) -> float:
         """Return the step of a parameter for differences at a point."""

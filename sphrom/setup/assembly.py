@@ -117,19 +117,8 @@ def output_times_of(
 
 
 def scaled_parameters(case: Case, points: Sequence[ParameterPoint]) -> Array:
-    """Return the scaled parameters of points (n_points, n_parameters), used for distances.
-
-    The Reynolds number enters by its logarithm. The other parameters may be negative, so each is
-    divided by its largest trained value.
-    """
-    return scaled_values(case, np.array([[*point.as_dict().values()] for point in points]))
-
-
-def scaled_values(case: Case, values: Array) -> Array:
-    """Return the scaled parameters (..., n_parameters) of values in the case's order."""
-    sizes = case.plan.largest_values[1:]
-    others = values[..., 1:] / np.where(sizes > 0.0, sizes, 1.0)
-    return np.concatenate((np.log(values[..., :1]), others), axis=-1)
+    """Return the scaled parameters of points (n_points, n_parameters), used for distances."""
+    return case.plan.scaled(np.array([[*point.as_dict().values()] for point in points]))
 
 
 def role_of(case: Case, basis: str, point: ParameterPoint) -> str:

@@ -20,7 +20,6 @@ import numpy as np
 from sphrom.arrays import Array
 from sphrom.artifacts.records.sweep import OutputIndices, OutputStatistics, Statistics
 from sphrom.case.models import Case
-from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model
 from sphrom.console import Reporter
 from sphrom.metrics.draws import Along, fewest_runs, sobol_indices, spread
@@ -200,7 +199,7 @@ def statistics_of(workspace: Workspace, records: Sequence[RunRecord]) -> Statist
     runs = [run.values for run in complete]
     trained = SweptModel(workspace).in_training([r.point for r in records if r.values])
     points = [record.point for record in complete] if sweep_model(case) is not None else []
-    beyond = sum(bool(outside(point, case.plan.train_points)) for point in points)
+    beyond = sum(case.plan.beyond_training(point) is not None for point in points)
     return Statistics(
         levels=np.array(section.levels),
         outputs={
@@ -382,7 +381,7 @@ def show(report: Reporter, result: Statistics) -> None:
     if result.n_extrapolated:
         report.warn(
             f"statistics: {result.n_extrapolated} of {result.n_runs} draws are outside of the "
-            "trained range"
+            "training points"
         )
     if result.method == SALTELLI and not result.indices:
         report.warn("statistics: no Sobol indices, because a run that they need has no result")

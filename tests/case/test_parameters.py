@@ -185,6 +185,22 @@ def test_a_point_beyond_training_is_named_with_the_range():
     )
 
 
+def test_points_that_training_does_not_surround_are_beyond_it():
+    """The points of training lie on a parabola, so only points above the chords are inside."""
+    train = [{"reynolds": 100, "lid": 0.5}, {"reynolds": 200, "lid": 0.6}]
+    train.append({"reynolds": 400, "lid": 0.9})
+    inside, outside = {"reynolds": 200, "lid": 0.65}, {"reynolds": 150, "lid": 0.5}
+    found = case({"train": {"points": train}, "test": {"points": [inside, outside]}})
+    (warning,) = case_warnings(found)
+    assert warning.startswith(
+        "parameters.test: reynolds=150, lid=0.5 is outside of the training points, though each"
+    )
+    swept = found.plan.point({"reynolds": 50, "lid": 0.7})
+    assert "100 to 400 of reynolds" in found.plan.beyond_training(swept)
+    corners = case(GRID).plan
+    assert corners.beyond_training(corners.point({"reynolds": 60, "lid": 0.6})) is None
+
+
 def test_a_start_depends_on_the_constants_that_it_names():
     found = case({"train": {"omega": [2.0, 3.0]}}, CUSTOM)
     names = (*CUSTOM["constants"], "top", "disc", "body_force")

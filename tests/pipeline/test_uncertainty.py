@@ -215,7 +215,7 @@ def test_draws_outside_of_training_are_counted_and_told(swept, told):
     path = swept("wide", sample={"count": 40, "reynolds": wide, "lid": [0.5, 1.0]})
     found = read(path)[0]
     assert 3 <= found.n_extrapolated <= 12
-    said = f"{found.n_extrapolated} of 40 draws are outside of the trained range"
+    said = f"{found.n_extrapolated} of 40 draws are outside of the training points"
     assert any(said in text for text in told)
     (named,) = (text for text in told if "full runs may give other quantiles" in text)
     assert "middle_final_pressure (" in named

@@ -44,7 +44,6 @@ from sphrom.setup.assembly import (
     amplitude_of,
     memory_length_of,
     output_times_of,
-    scaled_values,
     sound_averages,
 )
 from sphrom.store.workspace import Workspace
@@ -150,7 +149,7 @@ class BasisModel:
     def place(self, point: ParameterPoint) -> Array:
         """Return the scaled parameters (n_parameters,) of a point."""
         values = np.stack([*point.as_dict().values()], axis=-1)
-        return scaled_values(self.workspace.case, values)
+        return self.workspace.case.plan.scaled(values)
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a point, with its corrections by training runs.
