@@ -19,7 +19,7 @@ from sphrom.plots.tables import UNKNOWN, format_figure, rows_of_columns, write_c
 from sphrom.reduction.greedy import Ending, safety_factor
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.text import exact
+from sphrom.text import counted, exact
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -168,8 +168,8 @@ def publish(
         trained=[point.as_dict() for point in points],
     )
     save(draw_training(outcome), folder / "training.png")
-    counted = [name for name in errors if name.partition("_")[0] in outcome.quantity]
-    shown = ["full_runs", "worst_estimate", "factor", "floor", *parameters, *counted]
+    limited = [name for name in errors if name.partition("_")[0] in outcome.quantity]
+    shown = ["full_runs", "worst_estimate", "factor", "floor", *parameters, *limited]
     for row in rows:
         row |= {name: exact(row[name]) for name in parameters if row[name] is not None}
     report.table(
@@ -179,6 +179,8 @@ def publish(
         [[format_figure(row[name]) for name in shown] for row in rows],
     )
     (report.info if outcome.ending == "within" else report.warn)(_statement(outcome))
+    for sentence in _on_errors(outcome):
+        report.info(sentence)
     report.info(f"tables, training.json and training.png are in {folder}")
     _, option, out = context.words.partition(" --out ")
     following = f"sphrom run {case_file}{option}{out}"
@@ -222,7 +224,8 @@ def _in_percent(value: float) -> str:
 
 def _statement(outcome: Outcome) -> str:
     """Return a sentence on the accuracy of the model and the end of the training."""
-    last, tolerance = outcome.stages[-1], f"{outcome.tolerance:g} %"
+    last = outcome.stages[-1]
+    tolerance = f"{outcome.tolerance:g} %"
     worst, at = last.worst
     ends = {
         "within": f"within {tolerance} everywhere with {len(last.points)} full runs",
@@ -231,11 +234,34 @@ def _statement(outcome: Outcome) -> str:
         "floor": f"not within {tolerance}, and further runs would not help; use more modes "
         "(n_modes), or a larger tolerance",
     }
-    reached = f"worst estimate {_in_percent(worst)} at {at.label}"
+    return (
+        f"{outcome.quantity} {ends[outcome.ending]}: worst estimate {_in_percent(worst)} at "
+        f"{at.label}; best possible error in its basis {_in_percent(last.worst_floor)}"
+    )
+
+
+def _on_errors(outcome: Outcome) -> Iterator[str]:
+    """Yield sentences on errors before the last run, and on fields that have no tolerance."""
     if errors := outcome.errors:
-        reached += f", worst error of held-out runs {_in_percent(max(errors))}"
-    text = f"{ends[outcome.ending]}: {reached}; best possible error in its basis "
-    return text + _in_percent(last.worst_floor)
+        yield (
+            f"models of fewer runs predicted the {counted(len(errors), 'chosen run')}, from which "
+            f"the model now learns too, with errors of up to {_in_percent(max(errors))}"
+        )
+    last = outcome.stages[-1]
+    for k, name in enumerate(QUANTITIES):
+        if k in outcome.section.fields:
+            continue
+        estimates = last.estimates[:, k] * last.factors[k]
+        at = last.candidates[int(estimates.argmax())].label
+        text = f"{name} has no tolerance: worst estimate {_in_percent(estimates.max())} at {at}"
+        if runs := outcome.held_out:
+            error = max(float(run.error[k]) for run in runs)
+            estimate = max(float(run.estimate[k]) for run in runs)
+            text += (
+                f"; models of fewer runs had errors of up to {_in_percent(error)}, estimated as "
+                f"up to {_in_percent(estimate)}"
+            )
+        yield text
 
 
 def draw_training(outcome: Outcome) -> Figure:

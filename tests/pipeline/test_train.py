@@ -79,7 +79,10 @@ def test_a_promise_is_tested_first_and_the_case_goes_on_with_the_same_artifacts(
         assert float(row["velocity_floor"]) <= float(row["velocity_error"]) * (1.0 + 1e-9)
         factor = max(1.0, float(row["velocity_error"]) / float(row["velocity_estimate"]))
         assert float(rows[-1]["factor"]) >= factor * (1.0 - 1e-12)
-    assert "within 5 % everywhere with" in result.stdout
+    assert "velocity within 5 % everywhere with" in result.stdout
+    worst = max(float(row["pressure_error"]) for row in held_out)
+    assert "pressure has no tolerance: worst estimate" in result.stdout
+    assert f"errors of up to {worst:.3g} %, estimated as" in result.stdout
     written = yaml.safe_load((PLACE / "training" / "case.yaml").read_text())
     assert written["parameters"]["train"]["reynolds"] == trained()
     before = uuids()
