@@ -63,8 +63,9 @@ def check_geometry(case: Case) -> Found:
         yield "scene", "its lengths differ so much that the shortest is lost to rounding"
     elif not fits:
         reason = f"a spacing of {wanted:g} m doesn't divide all lengths of the scene to 0.5 %"
-        nearest_one = nearest_fitting_resolution(case) or "none that is near"
-        yield "discretization.resolution", f"{reason}; {nearest_one} does"
+        found = fitting_resolutions(case)
+        remedy = f"{' and '.join(map(str, found))} {'does' if len(found) == 1 else 'do'}"
+        yield "discretization.resolution", f"{reason}; {remedy if found else 'none near it does'}"
     for level in sorted({case.scene.level_at(dict(point.others)) for point in plan.points}):
         if not math.isfinite(level) or not domain.fills_box:
             continue
@@ -107,16 +108,18 @@ def check_geometry(case: Case) -> Found:
     if gap > 0.0 and radius > most * (1.0 + ROUNDING):
         least = math.ceil(section.resolution * radius / most * (1.0 - ROUNDING))
         enough = (n for n in range(least, 2 * least) if domain.fits_lattice(length / n))
-        remedy = f"discretization.resolution: {next(enough, least)} would do"
+        resolution = next(enough, least)
+        key = "discretization.resolution"
+        remedy = f"{resolution} would do, or a smaller discretization.smoothing_length_ratio"
+        if mapped > own:
+            remedy = f"{key}: {resolution} would do"
+            key = "reference.smoothing_length_ratio"
         if least > MOST_REFINED * section.resolution:
             remedy = f"make it at least {radius:.3g} m thick"
             if most < solid:
                 nearest_walls = narrow_place(domain, 2.0 * radius)
                 remedy = nearest_walls or f"make it at least {2.0 * radius:.3g} m wide"
-        yield (
-            f"{'reference' if mapped > own else 'discretization'}.smoothing_length_ratio",
-            f"a support of radius {radius:g} m is larger than {limit}: {remedy}",
-        )
+        yield key, f"a support of radius {radius:g} m is larger than {limit}: {remedy}"
 
 
 def narrow_place(domain: Domain, width: float) -> str | None:
@@ -150,15 +153,18 @@ def _images(domain: Domain, lines: Mapping[str, Any]) -> Iterator[tuple[str, Any
         yield from ((name, translate(shape, *shift)) for name, shape in domain.polygons)
 
 
-def nearest_fitting_resolution(case: Case) -> int | None:
-    """Return the nearest resolution at which walls fit the lattice, or None if none is near."""
+def fitting_resolutions(case: Case) -> list[int]:
+    """Return the nearest resolutions, below and above, at which walls fit the lattice.
+
+    Both are the case's own if it fits. Those below its half and above its double are left out.
+    """
     domain = case.scene.domain
     length = case.scene.resolved_length
     resolution = case.discretization.resolution
-    half = case.discretization.resolution // 2
-    near = range(resolution - half + 1, 2 * resolution + 1)
-    fitting = (number for number in near if domain.fits_lattice(length / number))
-    return min(fitting, key=lambda number: (abs(number - resolution), -number), default=None)
+    below = range(resolution, max(resolution // 2, COARSEST - 1), -1)
+    above = range(resolution, 2 * resolution + 1)
+    fitting = [[n for n in near if domain.fits_lattice(length / n)][:1] for near in (below, above)]
+    return [*fitting[0], *fitting[1]]
 
 
 def coarser_resolution(case: Case) -> int | None:

@@ -198,7 +198,7 @@ def test_narrow_places_have_a_remedy(solids: dict[str, Any], words: str) -> None
 
 def test_resolutions_that_would_do_are_near() -> None:
     disc = {"a": {"circle": {"centre": [1, 0.5], "radius": 0.3}}}
-    with pytest.raises(CaseError, match=r"resolution: \d+ would do"):
+    with pytest.raises(CaseError, match=r"wide: \d+ would do"):
         case({**PLAIN, "solids": disc}, resolution=20)
 
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from sphrom.case.discretization_checks import nearest_fitting_resolution
+from sphrom.case.discretization_checks import fitting_resolutions
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
@@ -267,17 +267,17 @@ def test_a_support_of_half_a_periodic_box(load, resolution: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("resolution", "nearest"), [(40, 40), (41, 40), (42, 44), (43, 44), (45, 44), (47, 48)]
+    ("resolution", "nearest"), [(40, [40, 40]), (41, [40, 44]), (47, [44, 48]), (9, [8, 12])]
 )
-def test_the_nearest_resolution_that_fits_may_be_coarser_or_finer(
-    resolution: int, nearest: int
+def test_the_nearest_resolutions_that_fit_are_a_coarser_and_a_finer_one(
+    resolution: int, nearest: list[int]
 ) -> None:
     """Walls of the open cavity lie at quarters of the channel's length."""
     case = Case.model_construct(
         scene=Case.model_validate({"name": "x", "scene": {"kind": "open-cavity"}}).scene,
         discretization=type("Section", (), {"resolution": resolution}),
     )
-    assert nearest_fitting_resolution(case) == nearest
+    assert fitting_resolutions(case) == nearest
 
 
 TANK = """

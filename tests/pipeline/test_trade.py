@@ -178,7 +178,7 @@ def test_maps_of_the_full_model_and_of_one_training_run(sphrom, weigh, place, fe
     (refused,) = of(rows, varied="h/dx", value="4.0")
     assert (refused["state"], refused["velocity_error"]) == ("refused", "")
     assert "a support of radius" in refused["reason"]
-    assert "discretization.smoothing_length_ratio: a support" in words
+    assert "discretization.resolution: a support" in words
 
 
 def test_an_unstable_full_run_is_a_state(weigh, place, few, monkeypatch):
