@@ -310,10 +310,11 @@ def case_differences(made_with: str, asked: str, sections: Collection[str]) -> s
         dict(_values({section: value for section, value in case.items() if section in sections}))
         for case in cases
     )
-    # Keys that only one case has come last: another version of the program may have added them.
+    # Keys that only one case has, or only one as a list, come last: another version of the program
+    # may have added them.
     keys = sorted(
         (key for key in here | there if here.get(key) != there.get(key)),
-        key=lambda key: key not in here or key not in there,
+        key=lambda key: type(here.get(key)) is not type(there.get(key)),
     )
     differences = []
     for key in keys[:SHOWN_KEYS]:

@@ -61,6 +61,12 @@ class ParameterPoint:
         """The values of the parameters other than the Reynolds number, by name."""
         return dict(self.others)
 
+    @property
+    def rounded(self) -> ParameterPoint:
+        """The point with 12 digits, which is the same for values that differ by rounding."""
+        others = tuple((name, float(f"{value:.12g}")) for name, value in self.others)
+        return ParameterPoint(float(f"{self.reynolds:.12g}"), others)
+
     def as_dict(self) -> dict[str, float]:
         """Return the values by name."""
         return {REYNOLDS: self.reynolds, **self.factors}

@@ -256,9 +256,11 @@ class SpreadSection(Section):
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """The spread values (n_values,)."""
+        """The spread values (n_values,); those between the ends have at most 12 digits."""
         spread = np.linspace if self.spacing == "linear" else np.geomspace
-        return np.asarray(spread(self.low, self.high, self.count))
+        values = np.asarray(spread(self.low, self.high, self.count))
+        values[1:-1] = [float(f"{value:.12g}") for value in values[1:-1]]
+        return values
 
 
 class DistributionSection(Section):

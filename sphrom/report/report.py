@@ -47,7 +47,7 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import described_run
 from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
-from sphrom.sweep.batches import COMPLETE
+from sphrom.sweep.batches import COMPLETE, doubts_in_words, read_outcomes
 from sphrom.sweep.statistics import FIGURES, beside, regimes_in_words
 from sphrom.text import counted, duration
 from sphrom.whole_files import write_whole
@@ -203,13 +203,16 @@ def _sweeps(workspace: Workspace) -> Iterator[Html]:
         target = replace(workspace.sweep(), path=path)
         with open_artifact(path, target.schema, made_by=target.made_by) as artifact:
             model = artifact.text("model")
-            status = artifact.read("status")
+            runs = read_outcomes(artifact)
             found = artifact.read("regime").tolist() if "regime" in artifact.datasets else []
-        counts = f"{counted(len(status), 'run')}, {np.count_nonzero(status == COMPLETE):,} complete"
+        n_complete = sum(run.status == COMPLETE for run in runs)
+        counts = f"{counted(len(runs), 'run')}, {n_complete:,} complete"
         told = f"; regimes: {regimes_in_words(found)}" * bool(found)
         note = "; the case has other settings now" * bool(workspace.reason_to_make(target))
         yield element("h3", path.stem)
         yield element("p", f"{model}: {counts}; {path.stem}.csv has each{told}{note}.")
+        if (doubts := doubts_in_words(runs)) is not None:
+            yield element("p", f"{doubts}.")
         figures = {beside(path, kind, "png").name: text for kind, text in FIGURES.items()}
         yield from _pictures(path.parent, figures)
 

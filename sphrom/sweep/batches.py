@@ -38,6 +38,7 @@ from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.tasks import Failure, Task
 from sphrom.store.trajectory import field_datasets, measured_of
 from sphrom.store.workspace import Target, Workspace
+from sphrom.text import counted
 
 LARGEST_BATCH, SMALLEST_BATCH = 1000, 50
 """Limits of the runs on the reference points in one task; fewer end before a process starts."""
@@ -298,10 +299,18 @@ def read_points(
     return [ParameterPoint(row[0], tuple(zip(names[1:], row[1:], strict=True))) for row in rows]
 
 
+def read_outcomes(artifact: Artifact) -> list[RunRecord]:
+    """Read the points, statuses and reasons of all runs of an artifact, without their values."""
+    points = read_points(artifact, range(len(STATES)))
+    reasons = [str(artifact.attributes.get(f"failures/{k}", "")) for k in range(len(points))]
+    runs = zip(points, artifact.read("status").tolist(), reasons, strict=True)
+    return [RunRecord(at, status, reason) for at, status, reason in runs]
+
+
 def read_records(artifact: Artifact) -> list[RunRecord]:
     """Read all runs of an artifact."""
-    points = read_points(artifact, range(len(STATES)))
-    values: list[dict[str, Any]] = [{} for _ in points]
+    outcomes = read_outcomes(artifact)
+    values: list[dict[str, Any]] = [{} for _ in outcomes]
     indices = {axis: path for axis, path in INDICES.items() if path in artifact}
     rows = {axis: artifact.read(path).tolist() for axis, path in indices.items()}
     time = artifact.read("time") if rows["complete_run"] else None
@@ -314,9 +323,20 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
             for k, value in zip(rows[axis], artifact.read(name), strict=True):
                 values[k][name] = value
     names = tuple(filter(None, str(artifact.attributes.get("derivative_names", "")).split(",")))
-    reasons = [str(artifact.attributes.get(f"failures/{k}", "")) for k in range(len(points))]
-    runs = zip(points, artifact.read("status").tolist(), reasons, values, strict=True)
-    return [RunRecord(at, status, reason, v, names if v else ()) for at, status, reason, v in runs]
+    return [
+        replace(run, values=found, derivative_names=names if found else ())
+        for run, found in zip(outcomes, values, strict=True)
+    ]
+
+
+def doubts_in_words(runs: Sequence[RunRecord]) -> str | None:
+    """Return the number of doubtful runs, with one of them, or None if there is none."""
+    doubtful = [run for run in runs if run.status == COMPLETE and run.reason]
+    if not doubtful:
+        return None
+    first = doubtful[0]
+    number = f"{len(doubtful)} of {counted(len(runs), 'run')} are doubtful"
+    return f"{number}, such as {first.point.label}: {first.reason}"
 
 
 def require_folder(workspace: Workspace) -> None:

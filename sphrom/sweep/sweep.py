@@ -51,6 +51,7 @@ from sphrom.sweep.batches import (
     STATES,
     UNSTABLE,
     RunRecord,
+    doubts_in_words,
     make_runs,
     number_of_workers,
     parts_folder,
@@ -215,6 +216,7 @@ class Results:
     def __init__(self, workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
         self._workspace = workspace
         self._points = points
+        self._known = {p.rounded: p for p in points} | {p: p for p in points}
         self._whole = workspace.sweep()
 
     def discard(self) -> None:
@@ -231,7 +233,7 @@ class Results:
         with self._alone():
             for target in self._targets():
                 with self._workspace.open(target) as artifact:
-                    done.update(read_points(artifact))
+                    done.update(map(self._own, read_points(artifact)))
                 if target is self._whole and (extra := done.difference(self._points)):
                     raise ArtifactError(
                         f"{target.path} has runs at values that the case no longer has, such as "
@@ -242,14 +244,9 @@ class Results:
     def gather(self, failed: Sequence[Failure] = ()) -> None:
         """Write all runs into the artifact and the table, and show them with their failures.
 
-        Raises
-        ------
-        ArtifactError
-            When runs are missing; the artifact then has the others, if there are any.
-        UnstableError
-            When a run became unstable.
-        SphromError
-            When a run failed for another reason; the kind is that of the first failure.
+        Raises ArtifactError when runs are missing, while the artifact has the others, if any;
+        UnstableError when a run became unstable; SphromError when a run failed for another reason,
+        of the kind of the first failure.
         """
         report = self._workspace.context.report
         case = self._workspace.case
@@ -268,12 +265,8 @@ class Results:
         if regimes := [r.values[REGIME] for r in records if REGIME in r.values]:
             report.info(f"regimes: {statistics.regimes_in_words(regimes)}")
         show_lost(report, [record for record in records if record.status != COMPLETE])
-        if doubtful := [run for run in records if run.status == COMPLETE and run.reason]:
-            first = doubtful[0]
-            report.warn(
-                f"{len(doubtful)} of {len(records)} runs are doubtful, such as "
-                f"{first.point.label}: {first.reason}"
-            )
+        if (doubts := doubts_in_words(records)) is not None:
+            report.warn(doubts)
         if times := case.plan.times_in_words:
             report.info(times)
         for problem in _missing(case, rows, records):
@@ -305,7 +298,8 @@ class Results:
         for target in targets:
             with self._workspace.open(target) as artifact:
                 ended = (COMPLETE, UNSTABLE)
-                done |= {r.point: r for r in read_records(artifact) if r.status in ended}
+                runs = (replace(r, point=self._own(r.point)) for r in read_records(artifact))
+                done |= {run.point: run for run in runs if run.status in ended}
         if done.keys().isdisjoint(self._points):
             raise ArtifactError(
                 f"{self._whole.path}: none of its {len(self._points)} runs has been made; "
@@ -331,6 +325,10 @@ class Results:
             with suppress(OSError):  # other shards may still write to it
                 folder.rmdir()
         return records, summary
+
+    def _own(self, point: ParameterPoint) -> ParameterPoint:
+        """Return the case's value of a point, of which a file may have other last digits."""
+        return self._known.get(point) or self._known.get(point.rounded, point)
 
     def _targets(self) -> Iterator[Target]:
         """Yield the files on disk, with the whole sweep before parts."""

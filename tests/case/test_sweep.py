@@ -34,6 +34,12 @@ def test_spreads(load, text, expected):
     assert [p.reynolds for p in points] == pytest.approx(expected, rel=1e-12)
 
 
+def test_spread_values_have_no_digits_of_rounding(load):
+    points = sweep_points(load(f"{FAST}sweep: {{reynolds: {{low: 5.1, high: 6.1, count: 41}}}}\n"))
+    assert points[12].label == "reynolds=5.4"
+    assert [p.reynolds for p in points] == [round(5.1 + 0.025 * k, 3) for k in range(41)]
+
+
 @pytest.mark.parametrize(
     ("text", "model", "name"),
     [

@@ -105,6 +105,15 @@ def test_the_table_has_a_row_for_each_value(sweep, ready):
         assert (row["status"], row["reason"]) == ("complete", "")
 
 
+def test_values_that_differ_by_rounding_are_the_same_runs(sweep, ready, counted):
+    sweep("--set", "sweep.reynolds=[110.00000000000001, 190]")
+    assert len(counted) == 2
+    told = sweep("--set", "sweep.reynolds=[110, 190]").stdout
+    assert "sweep-fast.h5: up to date, kept" in told
+    assert len(counted) == 2
+    assert rows_of(ready / "sweep-fast.csv")[0]["reynolds"] == "110.0"
+
+
 def test_shards_in_any_order_make_the_same(sweep, ready, counted, content):
     sweep("--set", VALUES)
     whole, table = content(ready / "sweep-fast.h5"), (ready / "sweep-fast.csv").read_bytes()

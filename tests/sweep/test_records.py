@@ -16,6 +16,8 @@ from sphrom.sweep.batches import (
     FAILED,
     UNSTABLE,
     RunRecord,
+    doubts_in_words,
+    read_outcomes,
     read_points,
     read_records,
     write_records,
@@ -72,12 +74,23 @@ def test_records_come_back_as_they_were(tmp_path, order: slice) -> None:
     path = written(tmp_path / "sweep-fast.h5", MIXED[order])
     with open_artifact(path, "sphrom/sweep", made_by="") as artifact:
         found, done = read_records(artifact), read_points(artifact)
+        outcomes = read_outcomes(artifact)
     for one, given in zip(found, MIXED[order], strict=True):
         assert replace(one, values={}) == replace(given, values={})
         assert one.values.keys() == given.values.keys()
         for name, value in given.values.items():
             np.testing.assert_array_equal(one.values[name], value)
     assert done == [record.point for record in MIXED[order] if record.status != FAILED]
+    assert [(run.point, run.status, run.reason) for run in outcomes] == [
+        (run.point, run.status, run.reason) for run in found
+    ]
+
+
+def test_doubtful_runs_are_counted_with_one_of_them() -> None:
+    assert doubts_in_words(MIXED) is None
+    doubtful = replace(MIXED[1], reason="it is steep")
+    runs = [*MIXED, doubtful, doubtful]
+    assert doubts_in_words(runs) == "2 of 10 runs are doubtful, such as reynolds=110: it is steep"
 
 
 def test_a_figure_has_its_extremes_where_they_are_and_its_mean() -> None:
