@@ -48,7 +48,7 @@ BLOCK = 8192
 """Number of pressures that are computed at a time, to limit memory."""
 REASONS = {
     kernels.STEEP: "the surface is so steep that it would break",
-    kernels.ABOVE: "a crest is above the splines' box",
+    kernels.ABOVE: "a wave is higher than {height:.3g} m above the floor, where the model's modes end",
     kernels.DRY: "the bottom falls dry",
     kernels.DIVERGED: "the run has diverged",
 }
@@ -311,7 +311,8 @@ def run_many(models: Sequence[GraphModel], times: Array, starts: Sequence[Array]
         kept = 1 + (step - 1) // n_substeps
         place = float(integration_columns(basis.space)[0][column])
         end_time = float(instants[2 * step])
-        runs.append(GraphRun(times[:kept], own[:kept], REASONS[code], end_time, place))
+        reason = REASONS[code].format(height=basis.space.top - basis.space.bottom)
+        runs.append(GraphRun(times[:kept], own[:kept], reason, end_time, place))
     return runs
 
 
