@@ -219,6 +219,12 @@ def test_runs_beyond_the_trained_times_and_values_are_told_apart(study):
     assert not longer.correction[n:].any()
     assert np.array_equal(longer.correction[: n // 2], own.correction[: n // 2])
     assert len(model.run(final_time=own.time[3]).time) == 4
+    interval = own.time[1] - own.time[0]
+    n_told = len(TOLD)
+    short = model.run(final_time=own.time[3] + 0.4 * interval)
+    assert short.time[-1] == pytest.approx(own.time[3])
+    assert len(TOLD) == n_told + 1
+    assert f"final_time: runs end at {own.time[3]:.6g} s, not" in TOLD[-1]
 
 
 def test_a_model_on_particles_keeps_its_trajectory(study):
@@ -294,7 +300,7 @@ def fast(study: sphrom.Study) -> sphrom.Model:
         (lambda s: fast(s).rates(np.zeros(4)), "must have the shape (3,); got (4,)"),
         (lambda s: fast(s).jacobian([0, np.inf, 0]), "coordinates: must be finite"),
         (lambda s: fast(s).rates(np.zeros(3), np.nan), "time: must be a finite number; got NaN"),
-        (lambda s: fast(s).run(final_time=0.1234), "the nearest is 0.114"),
+        (lambda s: fast(s).run(final_time=1e-9), "the time of the second snapshot"),
         (lambda s: fast(s).run_many({"reynolds": [120, -1]}), "reynolds: must be a number above"),
         (lambda s: fast(s).run_many({"reynolds": []}), "points: are empty"),
         (lambda s: fast(s).run_many([{"reynolds": 120}]), "points: must be values by parameter"),

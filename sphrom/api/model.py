@@ -22,7 +22,7 @@ from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
 from sphrom.case.model_checks import steady_problem
 from sphrom.case.model_sections import ReducedModelSection
-from sphrom.case.plan_times import lengthened
+from sphrom.case.plan_times import lengthened, moved_end
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import fit_ranges, percent, require_basis, trained_ranges
 from sphrom.errors import CaseError, UnstableError
@@ -135,8 +135,8 @@ class Model:
 
         Parameters
         ----------
-        final_time : [s], a whole number of snapshot intervals after the first snapshot, for models
-            on the reference points; by default the final time of the case.
+        final_time : [s], for models on the reference points; by default the final time of the case.
+            The run ends at the time of a snapshot, and a warning names this time if it is another.
         """
         if final_time is not None:
             self._require(Ability.OTHER_TIMES, "final_time")
@@ -365,6 +365,8 @@ class Model:
             return reduced
         steps = self._workspace.case.plan.steps
         longer = lengthened(steps, final_time)
+        if (moved := moved_end(longer, final_time)) is not None:
+            self._warn(f"final_time: {moved}")
         if longer.end_time > steps.end_time:
             for key, reason in self._workspace.case.plan.problems_until(longer.end_time):
                 raise CaseError(f"final_time: scene.{key}: {reason}")

@@ -11,6 +11,7 @@ from sphrom.case.custom_sections import ShapedFluid
 from sphrom.case.discretization_checks import beyond_limits
 from sphrom.case.model_sections import AUTO
 from sphrom.case.models import Case
+from sphrom.case.plan_times import moved_end
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, sweep_model, sweep_points
 from sphrom.case.tables import MeasuredSection
@@ -183,7 +184,10 @@ def _extrapolations(case: Case, key: str, points: Iterable[ParameterPoint]) -> I
 def _of_models(case: Case) -> Iterator[str]:
     trained = case.plan.steps.end_time
     for i, model in enumerate(case.rom):
-        if case.plan.model_steps(model).end_time > trained:
+        steps = case.plan.model_steps(model)
+        if model.until is not None and (moved := moved_end(steps, model.until)) is not None:
+            yield f"rom.{i}.until: {moved}"
+        if steps.end_time > trained:
             yield f"rom.{i}.until: {beyond_training(trained)}"
         unseen = [point for point in case.plan.rom_points(model) if point not in case.plan.points]
         yield from _extrapolations(case, f"rom.{i}.parameters", unseen)

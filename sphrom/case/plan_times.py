@@ -181,17 +181,26 @@ class TimesPlan(FlowsPlan):
 
 
 def lengthened(steps: TimeSteps, final_time: float) -> TimeSteps:
-    """Return steps with the last snapshot at another time [s], earlier or later.
+    """Return steps with the last snapshot as near as possible to another time [s].
 
-    Raises CaseError unless this is a whole number of snapshot intervals after the first snapshot.
+    Raises CaseError if this would be the first snapshot, or need too many steps.
     """
-    intervals = (final_time - steps.start_time) / steps.snapshot_interval
-    whole = round(intervals) if 0.5 <= intervals <= MAX_STEPS / steps.every else 0
-    if not whole or abs(intervals - whole) > WHOLE_STEPS_TOLERANCE * whole:
-        nearest = steps.start_time + max(1, whole) * steps.snapshot_interval
+    interval = steps.snapshot_interval
+    intervals = (final_time - steps.start_time) / interval
+    if not 0.5 <= intervals <= MAX_STEPS / steps.every:
         raise CaseError(
-            f"final_time: must be a whole number of snapshot intervals of "
-            f"{steps.snapshot_interval:.12g} s after {steps.start_time:g} s, and at most "
-            f"{MAX_STEPS:g} steps; the nearest is {nearest:.12g}; got {final_time:g}"
+            f"final_time: must be {steps.start_time + interval:.6g} s, the time of the second "
+            f"snapshot, or later, within {MAX_STEPS:g} steps; got {final_time:g}"
         )
-    return replace(steps, n_steps=whole * steps.every)
+    return replace(steps, n_steps=max(1, round(intervals)) * steps.every)
+
+
+def moved_end(steps: TimeSteps, final_time: float) -> str | None:
+    """Return a warning if runs with these steps end at another time than asked [s], else None."""
+    asked = final_time - steps.start_time
+    if abs(steps.end_time - final_time) <= WHOLE_STEPS_TOLERANCE * asked:
+        return None
+    return (
+        f"runs end at {steps.end_time:.6g} s, not {final_time:.6g} s, because snapshots are "
+        f"{steps.snapshot_interval:.6g} s apart"
+    )

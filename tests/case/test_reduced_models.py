@@ -112,8 +112,11 @@ def test_runs_may_end_later_than_full_runs(load, refusal):
     assert load(time + model % 1).plan.ends_with_case(case.rom[0].model_copy(update={"until": 1.0}))
     (warning,) = (text for text in case_warnings(case) if "rom.0.until" in text)
     assert warning == "rom.0.until: after 1 s the run is beyond the trained time"
-    (line,) = refusal(time + model % 10.02)
-    assert "rom.0.until: must be a whole number of snapshot intervals of 0.05 s" in line
-    assert "the nearest is 10; got 10.02" in line
+    rounded = load(time + model % 10.02)
+    assert rounded.plan.model_steps(rounded.rom[0]) == case.plan.model_steps(case.rom[0])
+    moved = "rom.0.until: runs end at 10 s, not 10.02 s, because snapshots are 0.05 s apart"
+    assert moved in case_warnings(rounded)
+    (line,) = refusal(time + model % 0.02)
+    assert "rom.0.until: must be 0.05 s, the time of the second snapshot, or later" in line
     (line,) = refusal(time + "rom: [{name: x, until: 2}]\n")
     assert "rom.0.until: is only for evaluation: operators" in line
