@@ -133,9 +133,9 @@ def run_all(context: StageContext, until: str | None = None) -> None:
     """Run all stages that the case needs, up to and including the stage `until`.
 
     Valid artifacts are kept. An artifact that no longer belongs to the case is made again with
-    `force`, and stops the run otherwise, before anything is computed. If a reduced model diverges, the others are still
-    compared, and the error is raised at the end. Each stage reports one line, and its details go to
-    the log; the last stage reports the results.
+    `force`, and stops the run otherwise, before anything is computed. If a reduced model diverges,
+    the others are still compared, and the error is raised at the end. Each stage reports one line,
+    and its details go to the log; the last stage reports the results.
 
     Raises CaseError when there is no such stage.
     """

@@ -188,7 +188,7 @@ class Model:
         """Run the model at many points, and warn of doubtful runs."""
         doubts = []
         for run in self._fast.runs(points):
-            doubts += [f"{run.point.label}: {text}" for text in run.unlike_training[:1]]
+            doubts += [f"{run.point.rounded.label}: {text}" for text in run.unlike_training[:1]]
             yield run
         if doubts:
             self._warn(f"{len(doubts)} of {len(points)} runs are doubtful, such as {doubts[0]}")

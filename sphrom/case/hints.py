@@ -208,7 +208,7 @@ def beyond_training(trained_until: float) -> str:
 def extrapolation(case: Case, point: ParameterPoint) -> str | None:
     """Return a warning if a point is outside of the training points, else None."""
     where = case.plan.beyond_training(point)
-    return where and f"{point.label} is {where}: a reduced model extrapolates there"
+    return where and f"{point.rounded.label} is {where}: a reduced model extrapolates there"
 
 
 def _of_numerics(case: Case) -> Iterator[str]:
@@ -268,6 +268,6 @@ def sweep_beyond_training(case: Case) -> Iterator[str]:
     beyond = [point for point in points if where[point] is not None]
     if beyond:
         yield (
-            f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].label}, are "
+            f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].rounded.label}, are "
             f"{where[beyond[0]]}: {model.name} extrapolates there"
         )

@@ -130,9 +130,8 @@ class PointsPlan:
     @cached_property
     def _trained_in_corners(self) -> bool:
         """Whether training includes all corners of its ranges, so that its hull is their box."""
-        ends = zip(self._trained.min(axis=0).tolist(), self._trained.max(axis=0).tolist(), strict=True)
-        corners = {*product(*ends)}
-        return corners <= {*map(tuple, self._trained.tolist())}
+        ends = np.stack((self._trained.min(axis=0), self._trained.max(axis=0)), axis=1)
+        return {*product(*ends.tolist())} <= {*map(tuple, self._trained.tolist())}
 
     def beyond_training(self, point: ParameterPoint) -> str | None:
         """Return in words where a point is outside of the training points, else None.

@@ -203,7 +203,7 @@ def _read_pysph(path: Path, array: str | None) -> Read:
             (array,) = sets
         if array not in sets:
             if not sets:
-                raise Fault(f"is not laid out as PySPH's files, by /particles/NAME/arrays. {REMEDY}")
+                raise Fault(f"has no /particles/NAME/arrays like PySPH's files. {REMEDY}")
             listed = ", ".join(sorted(sets))
             raise Fault(f"needs the name of one of its sets of particles as --array: {listed}")
         prefix = f"particles/{array}/arrays/"

@@ -35,11 +35,12 @@ def require_replaceable(context: StageContext, stages: Sequence[str]) -> None:
     workspace = Workspace(context)
     case = context.case
     plan = case.plan
-    if context.force or any([workspace.shorter_run(point) is not None for point in plan.points]):
+    if context.force or any(workspace.shorter_run(point) is not None for point in plan.points):
         return
-    last = [workspace.reduced_run(m, point) for m in case.rom for point in plan.rom_points(m)]
     alone = [m for m in case.rom if family_of(case, m).can(Ability.RUNS_ALONE)]
-    last += [*map(workspace.model, alone), workspace.comparison()]
+    last = [*map(workspace.model, alone)]
+    last += [workspace.reduced_run(m, point) for m in case.rom for point in plan.rom_points(m)]
+    last.append(workspace.comparison())
     targets: dict[Path, Target] = {}
 
     def add(target: Target) -> None:

@@ -48,7 +48,7 @@ BLOCK = 8192
 """Number of pressures that are computed at a time, to limit memory."""
 REASONS = {
     kernels.STEEP: "the surface is so steep that it would break",
-    kernels.ABOVE: "a wave is higher than {height:.3g} m above the floor, where the model's modes end",
+    kernels.ABOVE: "a wave is more than {height:.3g} m above the floor, where the modes end",
     kernels.DRY: "the bottom falls dry",
     kernels.DIVERGED: "the run has diverged",
 }

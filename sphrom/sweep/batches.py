@@ -336,7 +336,7 @@ def doubts_in_words(runs: Sequence[RunRecord]) -> str | None:
         return None
     first = doubtful[0]
     number = f"{len(doubtful)} of {counted(len(runs), 'run')} are doubtful"
-    return f"{number}, such as {first.point.label}: {first.reason}"
+    return f"{number}, such as {first.point.rounded.label}: {first.reason}"
 
 
 def require_folder(workspace: Workspace) -> None:

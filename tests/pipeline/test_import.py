@@ -200,7 +200,9 @@ def test_one_array_of_several_is_taken(case, sphrom, refused) -> None:
     with h5py.File("plain.h5", "w") as file:
         for field, values in fields(0.0).items():
             file[field] = values
-    assert "plain.h5 is not laid out as PySPH's files" in refused("import", case, "plain.h5")
+    assert "plain.h5 has no /particles/NAME/arrays like PySPH's" in refused(
+        "import", case, "plain.h5"
+    )
     for name in ("plain.h5", "plain.csv"):
         Path(name).touch()
         assert "numpy.savez('run_0.npz', t=time, x=x," in refused("import", case, name)
@@ -397,8 +399,8 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
         ({"u": HIGH, "v": HIGH}, ("--units", "velocity=6"), 2, "speed); velocity=m/s of --units"),
         ({}, ("--units", "length=1000"), 2, "the size of the scene; length=m of --units would fit"),
         ({}, ("--origin", "0.5,0", "--set", "scene={kind: lid-driven-cavity}"), 2,
-         "the particles span -0.45 to 0.45 m and 0.05 to 0.95 m, with a spacing of 0.1 m; the scene "
-         "spans 0 to 1 m and 0 to 1 m, with a spacing of 0.1 m, and"),
+         "the particles span -0.45 to 0.45 m and 0.05 to 0.95 m, with a spacing of 0.1 m; the "
+         "scene spans 0 to 1 m and 0 to 1 m, with a spacing of 0.1 m, and"),
         ({}, ("--time-step", "0"), 2, "--time-step"),
         ({}, ("--start", "nan"), 2, "--start"),
         ({}, ("--set", "discretization.resolution=20"), 2, "discretization.resolution=10 is near"),

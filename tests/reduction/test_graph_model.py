@@ -168,8 +168,8 @@ def test_a_surface_breaks_at_a_slope_of_one_unless_training_is_near_it(basis) ->
 def test_a_wave_above_the_modes_is_told_by_its_height(basis: SurfaceBasis) -> None:
     run = model(basis).run(np.linspace(0.0, 0.02, 3), first_wave(basis, 0.7))
     height = SPACE.top - SPACE.bottom
-    limit = f"a wave is higher than {height:.3g} m above the floor"
-    assert run.ended == f"{limit}, where the model's modes end"
+    limit = f"a wave is more than {height:.3g} m above the floor"
+    assert run.ended == f"{limit}, where the modes end"
 
 
 def test_a_run_that_diverges_within_a_step_ends(basis: SurfaceBasis) -> None:
