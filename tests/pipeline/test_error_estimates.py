@@ -103,7 +103,7 @@ def test_estimates_are_near_the_errors(made) -> None:
     for row in rows:
         for field in ("velocity", "pressure"):
             # An interpolated pressure is nearly exact in training runs; estimates are not.
-            most = 4.0 if (row["role"], field) == ("trained", "pressure") else 2.5
+            most = 5.0 if (row["role"], field) == ("trained", "pressure") else 2.5
             assert 0.4 < float(row[f"{field}_effectivity_mean"]) < most
             estimate, error = (float(row[f"{field}_{n} [%]"]) for n in ("estimate", "error"))
             assert 0.4 * error < estimate < most * error
