@@ -48,6 +48,7 @@ from sphrom.setup.cost import described_run
 from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import COMPLETE
+from sphrom.sweep.curves import CAPTION
 from sphrom.sweep.statistics import FIGURES, beside, regimes_in_words
 from sphrom.text import counted, duration
 from sphrom.whole_files import write_whole
@@ -210,7 +211,8 @@ def _sweeps(workspace: Workspace) -> Iterator[Html]:
         note = "; the case has other settings now" * bool(workspace.reason_to_make(target))
         yield element("h3", path.stem)
         yield element("p", f"{model}: {counts}; {path.stem}.csv has each{told}{note}.")
-        figures = {beside(path, kind, "png").name: text for kind, text in FIGURES.items()}
+        figures = {path.with_suffix(".png").name: CAPTION}
+        figures |= {beside(path, kind, "png").name: text for kind, text in FIGURES.items()}
         yield from _pictures(path.parent, figures)
 
 
