@@ -24,7 +24,12 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
 from sphrom.compare.basis_figures import frame_of
-from sphrom.compare.comparison_figures import QUANTITIES, draw_comparison, side_by_side
+from sphrom.compare.comparison_figures import (
+    QUANTITIES,
+    draw_comparison,
+    pictured_snapshot,
+    side_by_side,
+)
 from sphrom.compare.comparison_tables import RECORDS, Tables
 from sphrom.exchange.export import FOLDER
 from sphrom.models.stored_run import StoredRun
@@ -293,6 +298,7 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
     probes = probes_of(workspace.case)
     with StoredRun.opened(workspace, point) as full:
         times = full.time
+        shown = times[pictured_snapshot(full.kinetic_energy)]
         chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
         full_samples = without_air(workspace.case, full.sampled(probes.pictured, chosen.tolist()))
     samples = without_air(workspace.case, reduced.sampled(probes.pictured, chosen.tolist()))
@@ -322,6 +328,7 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
             for i in range(len(chosen))
         ],
         times=[f"{times[snapshot]:.4g}" for snapshot in chosen],
+        first=int(np.argmin(np.abs(times[chosen] - shown))),
         heads=("full", name, "difference"),
         extent=[f"{end:g}" for end in frame.ends],
         labels=frame.labels,
