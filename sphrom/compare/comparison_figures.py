@@ -313,8 +313,7 @@ class _PointFigures(RunFigures):
             return {**series.relative_l2, **series.over_rms, **series.eq41}[error]
 
         curves = [
-            Curve(name, series.time, values(series), role)
-            for role, (name, series) in known.items()
+            Curve(name, series.time, values(series), role) for role, (name, series) in known.items()
         ]
         curves += [self.curve(name, series.time, values(series)) for name, series in models.items()]
         return Panel("", "time [s]", label, curves, "logarithmic")
