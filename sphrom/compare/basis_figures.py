@@ -42,7 +42,8 @@ def frame_of(case: Case) -> Frame:
     box = case.scene.domain
     slices = Slices(box.lower, box.upper)
     solids = None if box.fills_box else solids_within(box, slices.extent)
-    return Frame(slices.extent, solids, None if slices.is_plane else slices)
+    plane = None if slices.is_plane else slices
+    return Frame(slices.extent, solids, plane, has_air=case.scene.has_surface)
 
 
 def model_sizes(workspace: Workspace, basis: str) -> list[int]:

@@ -161,7 +161,7 @@ class RunFigures:
                 row = []
                 for quantity in quantities:
                     curves = []
-                    title = lettered(quantities, quantity, point.label)
+                    title = lettered(quantities, quantity, self.case.plan.title(point))
                     if (flow := self.case.plan.flow(point).exact) is not None:
                         exact = exact_samples(flow, where, full.time[index : index + 1])
                         curves.append(Curve("exact", y, _along(exact, quantity)[0], "exact"))
@@ -187,6 +187,7 @@ class _PointFigures(RunFigures):
     def __init__(self, stored: StoredComparison, tables: Tables, point: ParameterPoint) -> None:
         super().__init__(stored)
         self.point = point
+        self.title = self.case.plan.title(point)
         self.probes = probes_of(self.case)
         rows = [r for r in tables.errors if (r.parameters, r.against) == (point.label, FULL)]
         status = {row.compared: row.status for row in rows}
@@ -207,7 +208,7 @@ class _PointFigures(RunFigures):
     @property
     def when(self) -> str:
         """The parameters and the time of pictures."""
-        return f"{self.point.label}, t = {self.time[self.instant]:.3g} s"
+        return f"{self.title}, t = {self.time[self.instant]:.3g} s"
 
     def all(self) -> Iterator[tuple[str, Drawn]]:
         """Yield the prefixes of the figures that there are, with functions that draw them."""
@@ -290,7 +291,7 @@ class _PointFigures(RunFigures):
             for row in ERRORS
         ]
         line = f"on the line x = {self.case.plan.probe_line:g} m"
-        return draw_grid(rows, title=f"{self.point.label}, over the field and {line}")
+        return draw_grid(rows, title=f"{self.title}, over the field and {line}")
 
     def _error_panel(
         self,
@@ -339,11 +340,11 @@ class _PointFigures(RunFigures):
             Panel("", x_label, y_label, list(curves.values()))
             for (x_label, y_label), curves in panels.items()
         ]
-        return draw_grid([row_of_panels], title=self.point.label)
+        return draw_grid([row_of_panels], title=self.title)
 
     def _measured(self, name: str) -> Figure:
         """Draw a measurement over time, or along a line at the end, with a panel per component."""
-        title = f"{name}, {self.point.label}"
+        title = f"{name}, {self.title}"
         x_label = "time [s]"
         x = self.time
         measure = field_measures(self.case).get(name)
@@ -371,7 +372,7 @@ class _PointFigures(RunFigures):
             run = self.stored.samples(name, self.point, "stations")[1]
             if len(run.time):
                 curves.append(self.curve(name or FULL, run.time, run.velocity[:, 0, 1]))
-        title = f"{self.point.label}, at x = {x:.4g} m, y = {y:.4g} m"
+        title = f"{self.title}, at x = {x:.4g} m, y = {y:.4g} m"
         return draw_grid([[Panel("", "time [s]", "v [m/s]", curves)]], title=title)
 
 
@@ -410,7 +411,7 @@ def side_by_side(name: str, quantity: str, full: Array, reduced: Array) -> list[
     return [
         Field(f"{quantity}, full", label, full),
         Field(f"{quantity}, {name}", label, reduced),
-        Field("difference", f"difference [{unit}", reduced - full, difference=True),
+        Field(f"{name} - full", f"difference [{unit}", reduced - full, difference=True),
     ]
 
 
