@@ -57,7 +57,7 @@ them."""
 NEARLY_AT_REST = 0.5
 """Kinetic energy, relative to its mean over the run, below which pictures show another instant."""
 OVER_RUN, AT_INSTANT = "error over r.m.s. of the run [%]", "relative L2 at that instant [%]"
-"""What errors over time are relative to. Comparisons of earlier versions have only the second."""
+"""The scales of errors over time. Comparisons of earlier versions have only the second."""
 ERRORS = (
     {
         "velocity_field_l2_over_rms": f"velocity, field: {OVER_RUN}",
