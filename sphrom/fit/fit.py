@@ -74,11 +74,7 @@ NUMBERS = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")
 
 @dataclass(frozen=True)
 class Estimate:
-    """The estimate of one parameter, with its 95 % interval from `low` to `high`.
-
-    `by_noise` and `by_model` are the parts of the `standard_deviation` due to noise and due to the
-    model's errors. `remark` is the reason why the interval is not valid, and empty if it is.
-    """
+    """The estimate of one parameter, with its 95 % interval from `low` to `high`."""
 
     parameter: str
     value: float
