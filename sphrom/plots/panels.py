@@ -238,7 +238,7 @@ def draw_grid(
             lines_below = -(-len(labels) // across)
         else:
             for axes, _ in curves:
-                axes.legend(fontsize=7.5)
+                axes.legend(fontsize=7.5, frameon=True, framealpha=0.8, edgecolor="none")
         arrange(figure, [cell for cell, _ in cells], bars, title, lines_below)
         return figure
 

@@ -55,7 +55,7 @@ def test_bulk_velocity_where_points_fall_onto_edges(case_of, made_up):
 
 
 def test_bulk_velocity_of_a_channel_that_repeats(made_up):
-    """A parabola has two thirds of its largest velocity in the mean; a closed box has no channel."""
+    """The mean of a parabola is two thirds of its largest velocity; a closed box has none."""
 
     def bulk_velocity(periodic: list[str]) -> float | None:
         scene = {"kind": "custom", "box": {"upper": [2, 1], "periodic": periodic}}
