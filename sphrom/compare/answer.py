@@ -41,12 +41,15 @@ DIGITS = 2
 """Significant digits of the figures in a sentence."""
 LOUD = 0.5
 """Share of sound in a pressure, over a model's error, from which the answer mentions it."""
+UNDERESTIMATED = 3.0
+"""Least error over its estimate that the answer mentions: twice the estimate is to be expected."""
 ROLES = {
     "predicted": "which was not simulated for training",
     "extrapolated": "which was not simulated for training and lies outside of the trained values",
     "trained": "where it was trained",
 }
 """Phrases for the roles of parameter points."""
+FIELDS = ("velocity", "pressure")
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
 Row = TypeVar("Row", ErrorRow, EstimateRow, MeasureRow, OscillationRow)
@@ -141,6 +144,13 @@ class Answer:
         parts = [f"{words}: {_both(pair)}" for words, pair in beside.items() if pair is not None]
         if parts:
             yield _sentence("; ".join(parts))
+        for field, error, estimate in zip(FIELDS, self.error, self.estimate or (), strict=False):
+            if error > UNDERESTIMATED * estimate > 0.0:
+                yield (
+                    f"The error of the {field} is {format_figure(error / estimate, DIGITS)} times "
+                    f"its estimate: add a training run at or near {self.row.parameters}, or use "
+                    "fewer modes."
+                )
         if self.surface is not None:
             error, least = self.surface
             nearest = "" if least is None else f", that of the nearest state by {percent(least)}"

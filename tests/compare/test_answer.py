@@ -40,6 +40,12 @@ def test_it_says_how_far_off_how_fast_and_when_it_pays() -> None:
     assert several in told(replace(ANSWER, timing=spread))
 
 
+def test_an_error_far_above_its_estimate_is_told_with_a_cure() -> None:
+    text = told(replace(ANSWER, error=(0.16, 33.0), estimate=(0.19, 4.1)))
+    assert "The error of the pressure is 8.0 times its estimate: add a training run" in text
+    assert "times its estimate" not in told(ANSWER)
+
+
 def test_it_tells_a_pressure_error_that_is_sound() -> None:
     def with_sound(sound: float | None) -> str:
         errors = {**NO_ERRORS, SOUND: sound, SLOW_PRESSURE: 0.4}

@@ -14,6 +14,7 @@ from sphrom.reduction.operator_projection import project_operators, project_pres
 from sphrom.reduction.own_pressure import (
     CANDIDATES,
     PressureSpace,
+    best_candidate,
     choose,
     expected_errors,
     fitted,
@@ -143,6 +144,19 @@ def test_held_out_runs_choose_what_gives_their_pressure(settings, smooth, truth:
             assert found >= NEARER * share
         else:
             assert found == pytest.approx(NEARER * share, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("expected", "best"),
+    [
+        ([0.038, 0.036, 0.15, 0.038, 0.089, 0.12], "balance-interpolated"),
+        ([0.20, 0.10, 0.60, 0.15, 0.20, 0.17], "joint-interpolated"),
+        ([0.10, 0.10, 0.60, 0.15, 0.20, 0.17], "joint"),
+        ([0.20, 0.20, 0.10, 0.10, 0.10, 0.17], "balance"),
+    ],
+)
+def test_the_joint_pressure_has_to_be_clearly_better(expected: list[float], best: str) -> None:
+    assert best_candidate(np.array(expected)) == best
 
 
 def test_some_modes_have_the_balance_of_all_with_the_others_zero(settings, smooth) -> None:
