@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 353_300, 275
+TOKENS, MODULES = 353_400, 275
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
 TEST_LINES = 32_600
 LARGEST_SHARE = 0.16
