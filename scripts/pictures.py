@@ -97,6 +97,9 @@ def pictures() -> Iterator[Picture]:
     for name, file in (("overview", "overview"), ("force", "force-load")):
         run = ("run --force --set compare.plots=true",)
         yield Picture(f"tutorial-channel-{name}", channel, f"plots/{file}-reynolds40.png", run)
+    sweep = "sweep --force --set compare.plots=true --set"
+    sweep += " 'sweep.reynolds={{low: 20, high: 60, count: 100}}'"
+    yield Picture("tutorial-channel-sweep", channel, "sweep-fast.png", ("run --force", sweep))
     for name, (scene, tolerance) in TRADES.items():
         commands = ("run --force", f"trade --tolerance {tolerance}")
         yield Picture(name, CASES / f"{scene}_demo.yaml", "trade/trade.png", commands)

@@ -102,6 +102,12 @@ class PointsPlan:
         """All points of full runs."""
         return self.train_points + self.test_points
 
+    def title(self, point: ParameterPoint) -> str:
+        """Return the label of a full run in titles, without parameters that all full runs share."""
+        rows = [other.as_dict() for other in self.points]
+        varying = [n for n in self.parameter_names if any(row[n] != rows[0][n] for row in rows)]
+        return point.label_of(varying or self.parameter_names)
+
     @cached_property
     def _settings(self) -> list[dict[str, float]]:
         """The values of all parameters except the Reynolds number, each combination once."""

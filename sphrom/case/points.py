@@ -49,7 +49,12 @@ class ParameterPoint:
     @property
     def label(self) -> str:
         """The unique label in messages, such as `reynolds=100, lid=0.8`."""
-        return ", ".join(f"{name}={exact(value)}" for name, value in self.as_dict().items())
+        return self.label_of(self.as_dict())
+
+    def label_of(self, names: Iterable[str]) -> str:
+        """Return the values of some parameters in words."""
+        values = self.as_dict()
+        return ", ".join(f"{name}={exact(values[name])}" for name in names)
 
     @property
     def file_label(self) -> str:

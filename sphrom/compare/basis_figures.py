@@ -17,6 +17,7 @@ from sphrom.models.contract import basis_used
 from sphrom.plots.arrangement import FLAT
 from sphrom.plots.frames import Frame
 from sphrom.plots.panels import Curve, Field, Panel, draw_grid
+from sphrom.setup.assembly import has_air
 from sphrom.setup.draw import solids_within
 from sphrom.store.workspace import Workspace
 
@@ -42,7 +43,8 @@ def frame_of(case: Case) -> Frame:
     box = case.scene.domain
     slices = Slices(box.lower, box.upper)
     solids = None if box.fills_box else solids_within(box, slices.extent)
-    return Frame(slices.extent, solids, None if slices.is_plane else slices)
+    plane = None if slices.is_plane else slices
+    return Frame(slices.extent, solids, plane, has_air=has_air(case))
 
 
 def model_sizes(workspace: Workspace, basis: str) -> list[int]:

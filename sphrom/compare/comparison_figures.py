@@ -25,7 +25,6 @@ from sphrom.case.study_sections import FULL
 from sphrom.compare.basis_figures import draw_modes, draw_spectrum, frame_of, model_sizes
 from sphrom.compare.comparison_tables import Tables
 from sphrom.compare.stored_comparison import StoredComparison
-from sphrom.metrics.histories import without_mean
 from sphrom.metrics.measures import Samples
 from sphrom.metrics.quantities import components, unit_of
 from sphrom.models.contract import BEST, Ability, family_of
@@ -55,15 +54,19 @@ PLOTS = "plots"
 LONG, TALL = 0.15, 1.4
 """Height over width of pictures below which each has a row, and above which curves are beside
 them."""
+NEARLY_AT_REST = 0.5
+"""Kinetic energy, relative to its mean over the run, below which pictures show another instant."""
+OVER_RUN, AT_INSTANT = "error over r.m.s. of the run [%]", "relative L2 at that instant [%]"
+"""The scales of errors over time. Comparisons of earlier versions have only the second."""
 ERRORS = (
     {
-        "velocity_field_relative_l2": "velocity, field: relative L2 [%]",
-        "velocity_line_relative_l2": "velocity, line: relative L2 [%]",
+        "velocity_field_l2_over_rms": f"velocity, field: {OVER_RUN}",
+        "velocity_line_l2_over_rms": f"velocity, line: {OVER_RUN}",
         "velocity_line_eq41_by_line_range": "speed, line: mean error over range (Eq. 4.1) [%]",
     },
     {
-        "pressure_field_relative_l2": "pressure less its mean, field: relative L2 [%]",
-        "pressure_line_relative_l2": "pressure less its mean, line: relative L2 [%]",
+        "pressure_field_l2_over_rms": f"pressure less its mean, field: {OVER_RUN}",
+        "pressure_line_l2_over_rms": f"pressure less its mean, line: {OVER_RUN}",
         "pressure_line_eq41_by_line_range": "pressure, line: mean error over range (Eq. 4.1) [%]",
     },
 )
@@ -148,17 +151,17 @@ class RunFigures:
         where = np.empty((0, 3))
         for models, points in rows:
             for point in points:
-                where, full = self.stored.samples(None, point)
+                where, full = self._line(None, point)
                 y = where[:, 1]
                 index = int(np.argmin(np.abs(full.time - time)))
                 time = float(full.time[index])
                 lines = {FULL: full}
                 for model in filter(None, models):
-                    lines[model.name] = self.stored.samples(model.name, point)[1]
+                    lines[model.name] = self._line(model.name, point)[1]
                 row = []
                 for quantity in quantities:
                     curves = []
-                    title = lettered(quantities, quantity, point.label)
+                    title = lettered(quantities, quantity, self.case.plan.title(point))
                     if (flow := self.case.plan.flow(point).exact) is not None:
                         exact = exact_samples(flow, where, full.time[index : index + 1])
                         curves.append(Curve("exact", y, _along(exact, quantity)[0], "exact"))
@@ -172,6 +175,11 @@ class RunFigures:
         at_z = "".join(f", z = {z:.4g} m" for z in where[0, 2:])
         return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m{at_z}, t = {time:.4g} s")
 
+    def _line(self, run: str | None, point: ParameterPoint) -> tuple[Array, Samples]:
+        """Return the points of the line, and a run's samples there with NaN above the surface."""
+        position, samples = self.stored.samples(run, point)
+        return position, without_air(self.case, samples)
+
 
 class _PointFigures(RunFigures):
     """The figures of one parameter point, with the prefixes of their file names."""
@@ -179,6 +187,7 @@ class _PointFigures(RunFigures):
     def __init__(self, stored: StoredComparison, tables: Tables, point: ParameterPoint) -> None:
         super().__init__(stored)
         self.point = point
+        self.title = self.case.plan.title(point)
         self.probes = probes_of(self.case)
         rows = [r for r in tables.errors if (r.parameters, r.against) == (point.label, FULL)]
         status = {row.compared: row.status for row in rows}
@@ -189,8 +198,17 @@ class _PointFigures(RunFigures):
         settled = (r for r in tables.reference if r.parameters == point.label and r.settled)
         self.references = list(settled)
         self.time = stored.samples(None, point)[1].time
-        self.middle = len(self.time) // 2
-        self.when = f"{point.label}, t = {self.time[self.middle]:.3g} s"
+
+    @cached_property
+    def instant(self) -> int:
+        """The snapshot that pictures show."""
+        with StoredRun.opened(self.workspace, self.point) as run:
+            return pictured_snapshot(run.kinetic_energy)
+
+    @property
+    def when(self) -> str:
+        """The parameters and the time of pictures."""
+        return f"{self.title}, t = {self.time[self.instant]:.3g} s"
 
     def all(self) -> Iterator[tuple[str, Drawn]]:
         """Yield the prefixes of the figures that there are, with functions that draw them."""
@@ -222,10 +240,10 @@ class _PointFigures(RunFigures):
 
     @cached_property
     def _pictures(self) -> dict[str, dict[str, Array]]:
-        """Pictures of the full run and of reduced runs at half time, by run and quantity."""
+        """Pictures of the full run and of reduced runs at one instant, by run and quantity."""
         pictures: dict[str, dict[str, Array]] = {}
         for run in self._runs():
-            samples = run.sampled(self.probes.pictured, [self.middle])
+            samples = run.sampled(self.probes.pictured, [self.instant])
             samples = without_air(self.case, samples)
             pictures[run.name] = {
                 quantity: self.probes.picture(getattr(samples, quantity)[0])
@@ -253,14 +271,14 @@ class _PointFigures(RunFigures):
     def _overview(self) -> Figure:
         fastest = next(m for m in self.case.plan.models_by_speed if m in self.complete)
         complete = {m.name: self.errors[m.name] for m in self.complete}
-        label = "velocity, field, over time: relative L2 [%]"
-        errors = self._error_panel("velocity_field_relative_l2", label, complete)
+        error, label = next(iter(ERRORS[0].items()))
+        errors = self._error_panel(error, label, complete)
         rows = overview_rows(self._beside(fastest, "speed"), errors, self.frame.aspect)
         return draw_grid(rows, self.frame, scales=self._scales, title=self.when)
 
     def _centrelines(self) -> Figure:
         rows = [(tuple(self.complete), (self.point,))]
-        return self.lines(rows, self.time[self.middle], tuple(LABELS))
+        return self.lines(rows, self.time[self.instant], tuple(LABELS))
 
     def _errors(self) -> Figure:
         """Draw errors over time, beside those of the full run and of the nearest states."""
@@ -273,7 +291,7 @@ class _PointFigures(RunFigures):
             for row in ERRORS
         ]
         line = f"on the line x = {self.case.plan.probe_line:g} m"
-        return draw_grid(rows, title=f"{self.point.label}, over the field and {line}")
+        return draw_grid(rows, title=f"{self.title}, over the field and {line}")
 
     def _error_panel(
         self,
@@ -284,16 +302,19 @@ class _PointFigures(RunFigures):
     ) -> Panel:
         """Return a panel with one error of reduced models over time, and limits by their role.
 
-        The axis is logarithmic because errors are largest at a start from rest.
+        The axis is logarithmic because errors of models differ by orders of magnitude.
         """
+        known = {role: (name, series) for role, (name, series) in limits.items() if series}
+        shown = [*models.values(), *(series for _, series in known.values())]
+        if error.endswith("_l2_over_rms") and not all(error in s.over_rms for s in shown):
+            error = error.replace("_l2_over_rms", "_relative_l2")
+            label = label.replace(OVER_RUN, AT_INSTANT)
 
         def values(series: Series) -> Array:
-            return {**series.relative_l2, **series.eq41}[error]
+            return {**series.relative_l2, **series.over_rms, **series.eq41}[error]
 
         curves = [
-            Curve(name, series.time, values(series), role)
-            for role, (name, series) in limits.items()
-            if series is not None
+            Curve(name, series.time, values(series), role) for role, (name, series) in known.items()
         ]
         curves += [self.curve(name, series.time, values(series)) for name, series in models.items()]
         return Panel("", "time [s]", label, curves, "logarithmic")
@@ -319,11 +340,11 @@ class _PointFigures(RunFigures):
             Panel("", x_label, y_label, list(curves.values()))
             for (x_label, y_label), curves in panels.items()
         ]
-        return draw_grid([row_of_panels], title=self.point.label)
+        return draw_grid([row_of_panels], title=self.title)
 
     def _measured(self, name: str) -> Figure:
         """Draw a measurement over time, or along a line at the end, with a panel per component."""
-        title = f"{name}, {self.point.label}"
+        title = f"{name}, {self.title}"
         x_label = "time [s]"
         x = self.time
         measure = field_measures(self.case).get(name)
@@ -351,8 +372,22 @@ class _PointFigures(RunFigures):
             run = self.stored.samples(name, self.point, "stations")[1]
             if len(run.time):
                 curves.append(self.curve(name or FULL, run.time, run.velocity[:, 0, 1]))
-        title = f"{self.point.label}, at x = {x:.4g} m, y = {y:.4g} m"
+        title = f"{self.title}, at x = {x:.4g} m, y = {y:.4g} m"
         return draw_grid([[Panel("", "time [s]", "v [m/s]", curves)]], title=title)
+
+
+def pictured_snapshot(kinetic_energy: Array) -> int:
+    """Return the snapshot that pictures show, from the kinetic energy of the full run over time.
+
+    It is at half time. If fluid is nearly at rest then, such as in a tank that sloshes, it is the
+    nearest one with at least the mean kinetic energy.
+    """
+    middle = len(kinetic_energy) // 2
+    mean = kinetic_energy.mean()
+    if kinetic_energy[middle] >= NEARLY_AT_REST * mean:
+        return middle
+    moving = np.flatnonzero(kinetic_energy >= mean)
+    return int(moving[np.argmin(np.abs(moving - middle))])
 
 
 def overview_rows(
@@ -376,7 +411,7 @@ def side_by_side(name: str, quantity: str, full: Array, reduced: Array) -> list[
     return [
         Field(f"{quantity}, full", label, full),
         Field(f"{quantity}, {name}", label, reduced),
-        Field("difference", f"difference [{unit}", reduced - full, difference=True),
+        Field(f"{name} - full", f"difference [{unit}", reduced - full, difference=True),
     ]
 
 
@@ -396,7 +431,7 @@ def exact_samples(flow: TaylorGreen, points: Array, times: Array) -> Samples:
 def _along(line: Samples, quantity: str) -> Array:
     """Return the values (n_snapshots, n_points) of a quantity, a key of LABELS."""
     if quantity == "pressure less its mean":
-        return without_mean(line.pressure)
+        return line.pressure - np.nanmean(line.pressure, axis=1, keepdims=True)
     return line.speed if quantity == "speed" else line.pressure
 
 

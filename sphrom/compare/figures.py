@@ -138,7 +138,9 @@ class _ListedFigures(RunFigures):
         picture = np.full((1, 1), np.nan)
         if shown.values:
             picture = self.frame.raster(shown.position)(shown.values[quantity])
-        title = lettered(quantities, quantity, f"{shown.run}\n{point.label}{shown.remark}")
+        title = lettered(
+            quantities, quantity, f"{shown.run}\n{self.case.plan.title(point)}{shown.remark}"
+        )
         return Field(title, LABELS[quantity], picture, complete=not shown.remark)
 
     def _errors(self, figure: ErrorFigure) -> Figure:
@@ -156,7 +158,7 @@ class _ListedFigures(RunFigures):
                     name = model.name
                     time, error = self.stored.discrepancy(name, point, quantity, figure.range)
                     series = self.stored.errors(name, point)
-                    label = f"{name}, {point.label}" if len(points) > 1 else name
+                    label = f"{name}, {self.case.plan.title(point)}" if len(points) > 1 else name
                     if series is None or series.status != "complete":
                         after = f" after {time[-1]:.3g} s" if len(time) else ""
                         label += f" (unstable{after})"

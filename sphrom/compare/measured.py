@@ -38,6 +38,7 @@ from sphrom.metrics.quantities import components, parts, unit_of
 from sphrom.metrics.series import OSCILLATION, dominant_frequency, kinetic_energy, smoothed
 from sphrom.models.contract import Measured
 from sphrom.models.stored_run import StoredRun
+from sphrom.setup.assembly import without_air
 
 Pair = tuple[float | None, float | None]
 """Errors over all times and at the worst time [%]."""
@@ -239,7 +240,8 @@ class FlowRow:
     kinetic_energy: float = field(metadata={"unit": "J/m"})
     """Mean over time."""
     bulk_velocity: float | None = field(metadata={"unit": "m/s"})
-    """Mean of u over the channel beside a cavity and over time; None without a channel."""
+    """Mean of u over time, and over the channel beside a cavity, or the fluid in a box that repeats
+    along x; None elsewhere."""
     mean_pressure_drift: float = field(metadata={"unit": "Pa"})
     """Largest change of the mean pressure of particles since the first snapshot."""
     pressure_deviation: float = field(metadata={"unit": "Pa"})
@@ -259,10 +261,16 @@ class FlowRowInSpace(FlowRow):
 
 
 def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
-    """Return the mean of u over the scene's channel and over time [m/s]; None without a channel."""
+    """Return the mean of u over time and over the scene's channel, or a box that repeats along x.
+
+    It is None in other scenes and without samples [m/s].
+    """
     channel = case.scene.channel
-    if channel is None or not len(samples.time):
+    if not len(samples.time):
         return None
+    if channel is None:
+        whole = without_air(case, samples).velocity[:, probes.on_grid, 0]
+        return float(np.nanmean(whole)) if case.scene.domain.periodic[0] else None
     inside = channel.contains(probes.grid)
     # The grid has no points on the channel's floor, where the fluid is at rest.
     step = case.scene.domain.lengths[1] / probes.grid_shape[0]

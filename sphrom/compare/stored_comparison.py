@@ -48,6 +48,7 @@ class ComparisonWriter:
         series = Series(
             time=history.time,
             relative_l2={f"{place}_relative_l2": errors.relative_l2 for place, errors in places},
+            over_rms={f"{place}_l2_over_rms": errors.over_rms for place, errors in places},
             eq41={
                 f"{place}_{name}": values
                 for place, errors in places

@@ -100,7 +100,13 @@ class Series:
     relative_l2_overall: float
     """Over points and time: root of the sum of squared errors over that of squared values."""
     relative_l2: Array
-    """(n_snapshots,) of each instant."""
+    """(n_snapshots,) of each instant, relative to the reference at that instant."""
+    over_rms: Array
+    """(n_snapshots,) of each instant, over the reference's root mean square over all instants.
+
+    Its root mean square over time is `relative_l2_overall`. Unlike `relative_l2`, it is not large
+    just because the reference is nearly at rest.
+    """
     eq41: Mapping[str, Array]
     """(n_snapshots,) Eq. 4.1 by EQ41: with the range on the line, or on the line and the grid."""
 
@@ -204,8 +210,11 @@ def _series(
         for name, over in zip(EQ41, (probes.on_line, everywhere), strict=True)
     }
     found, wanted = vectors
+    at_instants = relative_l2(found, wanted, field_axes=2)
     overall = float(relative_l2(found, wanted, field_axes=3)) if len(reference) else 0.0
-    return Series(overall, relative_l2(found, wanted, field_axes=2), eq41)
+    sizes = np.sum(wanted**2, axis=(1, 2))
+    over_rms = at_instants * np.sqrt(sizes / sizes.mean()) if len(reference) else at_instants
+    return Series(overall, at_instants, over_rms, eq41)
 
 
 def _without_sound(

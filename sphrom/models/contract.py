@@ -143,7 +143,9 @@ _NO_SYSTEM = (
     "model with evaluation: operators"
 )
 _NO_POLYNOMIAL = "is not for models of a free surface"
-_NOT_PORTABLE = "{model} has a free surface, and only systems of polynomials are exported"
+_NOT_PORTABLE = (
+    "{model} has a free surface; only its own file, model-{model}.h5, holds its equations"
+)
 FAMILIES: Mapping[str, Family] = {
     "points": Family(
         kind="fast",

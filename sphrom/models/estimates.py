@@ -22,7 +22,15 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorEstimate:
-    """Estimated errors of a run."""
+    """Estimated errors of a run.
+
+    Root mean square errors at each snapshot (n_snapshots,) are `velocity` [m/s] and `pressure`, of
+    the pressure minus its mean [Pa]. Over the whole run, and relative to the root mean squares of
+    the fields, they are `velocity_percent` and `pressure_percent` [%]. `extrapolated` says whether
+    the run is outside the trained parameters or times. `residual` is the norm of the residual of
+    the rates (n_snapshots,) [/s], None with a free surface. `Model.run_many` also returns the
+    estimated errors of measurements.
+    """
 
     velocity: Array = field(repr=False)
     """(n_snapshots,) root mean square error of the velocity over the fluid [m/s]."""

@@ -31,6 +31,8 @@ class Frame:
     solids: Solids | None = None
     slices: Slices | None = None
     """The slices that the picture shows, of a box in space."""
+    has_air: bool = False
+    """Whether places without fluid are air rather than solids."""
 
     @property
     def ends(self) -> Extent:

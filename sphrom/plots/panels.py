@@ -1,11 +1,12 @@
 """Figures as grids of panels, which are pictures of fields or axes with curves.
 
-Pictures take fields on a regular grid (ny, nx), with rows from below, and NaN, drawn in grey,
-outside of the fluid. If a frame has solids, their exact outline is drawn instead of grid cells. A
-box in space is shown by three slices side by side, see `sphrom.metrics.grids.Slices`. In all
-figures the full model and measurements are black, the exact solution is grey, and a reduced model
-has the colour, line style and marker of its index in the case. Colours are those of Okabe and Ito,
-which colour-blind readers can distinguish. Matplotlib is imported when a figure is drawn.
+Pictures take fields on a regular grid (ny, nx), with rows from below, and NaN outside of the fluid,
+which is grey for solids and white for air. If a frame has solids, their exact outline is drawn
+instead of grid cells. A box in space is shown by three slices side by side, see
+`sphrom.metrics.grids.Slices`. In all figures the full model and measurements are black, the exact
+solution is grey, and a reduced model has the colour, line style and marker of its index in the
+case. Colours are those of Okabe and Ito, which colour-blind readers can distinguish. Matplotlib is
+imported when a figure is drawn.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ EXACT_COLOUR = "#9a9a9a"
 
 SOLID_COLOUR = "#c9c9c9"
 """Colour of solids in pictures."""
+AIR_COLOUR = "white"
 SPEED_MAP = "viridis"
 SIGNED_MAP = "RdBu_r"
 DIFFERENCE_MAP = "PuOr_r"
@@ -236,7 +238,7 @@ def draw_grid(
             lines_below = -(-len(labels) // across)
         else:
             for axes, _ in curves:
-                axes.legend(fontsize=7.5)
+                axes.legend(fontsize=7.5, frameon=True, framealpha=0.8, edgecolor="none")
         arrange(figure, [cell for cell, _ in cells], bars, title, lines_below)
         return figure
 
@@ -325,8 +327,8 @@ def colour_scale(fields: Sequence[Field], scales: Mapping[str, Range] = {}) -> t
 
 def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) -> Any:
     """Draw a field (ny, nx) into axes, with a colour map and its range."""
-    axes.set_facecolor(SOLID_COLOUR)
-    shown = field if frame.solids is None else _continued(field)
+    axes.set_facecolor(empty_colour(frame))
+    shown = field if frame.solids is None or frame.has_air else _continued(field)
     image = axes.imshow(
         shown, origin="lower", extent=frame.extent, cmap=colours, vmin=scale[0], vmax=scale[1]
     )
@@ -334,6 +336,11 @@ def _show(axes: Axes, frame: Frame, field: Array, colours: str, scale: Range) ->
         cover(axes, frame.solids)
         axes.set(xlim=frame.extent[:2], ylim=frame.extent[2:])
     return image
+
+
+def empty_colour(frame: Frame) -> str:
+    """Return the colour of places without fluid, except for solids that are drawn on top."""
+    return AIR_COLOUR if frame.has_air else SOLID_COLOUR
 
 
 def _continued(field: Array) -> Array:
@@ -368,7 +375,7 @@ def _draw_bar(
     bar.formatter = numbers
     bar.update_ticks()
     numbers.format_ticks(list(bar.get_ticks()))
-    bar.set_label(f"{label} {numbers.get_offset()}".strip(), loc="left")  # avoids an overlap
+    bar.set_label(f"{label} {numbers.get_offset()}".strip())  # a separate offset would overlap
     bar.ax.xaxis.get_offset_text().set_visible(False)
 
 

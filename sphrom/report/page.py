@@ -92,13 +92,14 @@ def animation(
     caption: str,
     extent: Sequence[str] = ("", "", "", ""),
     labels: Sequence[str] = ("x [m]", "y [m]"),
+    first: int = 0,
 ) -> Html:
     """Return an animation of PNG images, with a head above each column of panels.
 
-    A slider and a button control it; without scripts, the middle frame is shown. `extent` has the
+    A slider and a button control it; `first` is the frame that is shown at first. `extent` has the
     ends of the axes of each panel: left, right, lower, upper [m]; `labels` are those of the axes.
     """
-    middle, (left, right, lower, upper) = len(frames) // 2, extent
+    left, right, lower, upper = extent
     encoded = [base64.b64encode(frame).decode("ascii") for frame in frames]
     data = json.dumps({"frames": encoded, "times": list(times)}).replace("<", "\\u003c")
     slider = {"type": "range", "aria_label": "time", "min": "0", "max": f"{len(frames) - 1}"}
@@ -108,14 +109,14 @@ def animation(
             "div",
             element("div", *(element("span", head) for head in heads), class_="heads"),
             _axis("y", (upper, labels[1], lower), 2),
-            _image(frames[middle], caption),
+            _image(frames[first], caption),
             _axis("x", (left, labels[0], right), len(heads)),
             class_="panels",
         ),
         element(
             "div",
             element("button", "Play", type="button"),
-            element("input", **slider, value=f"{middle}"),
+            element("input", **slider, value=f"{first}"),
             element("output"),
             class_="controls",
         ),

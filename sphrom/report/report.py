@@ -1,6 +1,7 @@
 """Command `report`: one HTML page about a case, its runs and their results.
 
-The page begins with the main result, followed by predicted and by trained points. It contains the
+The page begins with the main result, followed by predicted and by trained points, that of the
+result first. It contains the
 tables and figures listed in `contents.yaml`, which `compare` and other commands write, and an
 animation of a reduced run beside the full run. It links to the exported pages of models.
 """
@@ -8,9 +9,10 @@ animation of a reduced run beside the full run. It links to the exported pages o
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
+from itertools import chain
 from pathlib import Path
 from urllib.parse import quote
 
@@ -24,11 +26,16 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
 from sphrom.compare.basis_figures import frame_of
-from sphrom.compare.comparison_figures import QUANTITIES, draw_comparison, side_by_side
+from sphrom.compare.comparison_figures import (
+    QUANTITIES,
+    draw_comparison,
+    pictured_snapshot,
+    side_by_side,
+)
 from sphrom.compare.comparison_tables import RECORDS, Tables
 from sphrom.exchange.export import FOLDER
 from sphrom.models.stored_run import StoredRun
-from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale
+from sphrom.plots.panels import SHOWN, SOLID_COLOUR, colour_scale, empty_colour
 from sphrom.plots.tables import format_figure, read_csv
 from sphrom.portable.page import gradient
 from sphrom.report.page import (
@@ -48,6 +55,7 @@ from sphrom.setup.cost import described_run
 from sphrom.store.stored_run import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.batches import COMPLETE, doubts_in_words, read_outcomes
+from sphrom.sweep.curves import CAPTION
 from sphrom.sweep.statistics import FIGURES, beside, regimes_in_words
 from sphrom.text import counted, duration
 from sphrom.whole_files import write_whole
@@ -61,6 +69,8 @@ SHARE_DIGITS = 7
 """Digits of shares of modes, which differ from 100 % only in their last digits."""
 SHORT = 10
 """Number of characters from which a figure is rounded."""
+WORDS = {"n_modes": "modes", "eq41": "Eq. 4.1", "speed_up": "speed-up", "_": " "}
+"""Replacements in headings of tables."""
 N_FRAMES = 25
 GAP = 1
 """Width of the white gap between panels, in pixels."""
@@ -79,11 +89,15 @@ def run(context: StageContext) -> None:
     contents = yaml.safe_load((files("sphrom.report") / "contents.yaml").read_text("utf-8"))
     captions = contents["points"] | _measure_captions(case)
     parts: dict[str, list[Html]] = {title: [] for title in contents["sections"]}
-    points = {"Predicted": plan.test_points, "Trained": plan.train_points}
+    answer = find_answer(workspace, tables)
+    points = {
+        "Predicted": _answered_first(plan.test_points, answer),
+        "Trained": _answered_first(plan.train_points, answer),
+    }
     first = next((title for title, some in points.items() if some), "Predicted")
     if case.compare.plots is not False:
         draw_comparison(workspace, tables)
-    parts[first] += animations(workspace)
+    parts[first] += animations(workspace, chain.from_iterable(points.values()))
     for title, some in points.items():
         for point in some:
             parts[title] += _figures_at(workspace, tables, point, captions)
@@ -106,13 +120,19 @@ def run(context: StageContext) -> None:
         f"{case.scene.title}: full runs at {len(plan.points)} parameter values, "
         f"{reduced} reduced runs, and their differences."
     )
-    answer = find_answer(workspace, tables)
     head = [] if answer is None else [_headline(answer)]
     head += _links(workspace)
     page = render(case.name, lead, list(parts.items()), footer, head).encode()
     path = workspace.out / PAGE
     write_whole(path, page)
     context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
+
+
+def _answered_first(
+    points: Iterable[ParameterPoint], answer: Answer | None
+) -> list[ParameterPoint]:
+    """Return points in order, except that the one of the answer comes first."""
+    return sorted(points, key=lambda p: answer is None or p.label != answer.row.parameters)
 
 
 def _links(workspace: Workspace) -> Iterator[Html]:
@@ -165,10 +185,11 @@ def _figures_at(
         and row.compared in names
         and (error := row.in_field) is not None
     ]
-    words = f" At {point.label} {'; '.join(errors)}."
+    title = workspace.case.plan.title(point)
+    words = f" At {title} {'; '.join(errors)}."
     named = _named(captions, point.file_label)
     pictures = list(_pictures(workspace.out / "plots", named, words=words))
-    return [element("h3", point.label), *pictures] if pictures else []
+    return [element("h3", title), *pictures] if pictures else []
 
 
 def _named(captions: Mapping[str, str], place: str) -> dict[str, str]:
@@ -213,7 +234,8 @@ def _sweeps(workspace: Workspace) -> Iterator[Html]:
         yield element("p", f"{model}: {counts}; {path.stem}.csv has each{told}{note}.")
         if (doubts := doubts_in_words(runs)) is not None:
             yield element("p", f"{doubts}.")
-        figures = {beside(path, kind, "png").name: text for kind, text in FIGURES.items()}
+        figures = {path.with_suffix(".png").name: CAPTION}
+        figures |= {beside(path, kind, "png").name: text for kind, text in FIGURES.items()}
         yield from _pictures(path.parent, figures)
 
 
@@ -234,9 +256,17 @@ def _tables(folder: Path, captions: Mapping[str, str], made_by: str) -> Iterator
         kept = [i for i in (*described, *chosen) if any(row[i] for row in rows)]
         yield table(
             caption,
-            [headings[i].replace("_", " ") for i in kept],
+            [_heading(headings[i]) for i in kept],
             [[_cell(row[i], digits) for i in kept] for row in rows],
         )
+
+
+def _heading(column: str) -> str:
+    """Return the heading of a column in words."""
+    name, bracket, unit = column.partition(" [")
+    for text, word in WORDS.items():
+        name = name.replace(text, word)
+    return name + bracket + unit
 
 
 def _cell(text: str, digits: int) -> str:
@@ -250,15 +280,17 @@ def _cell(text: str, digits: int) -> str:
     return text or format_figure(None)
 
 
-def paint(field: Array, colours: str, ends: tuple[float, float]) -> Pixels:
+def paint(
+    field: Array, colours: str, ends: tuple[float, float], empty: str = SOLID_COLOUR
+) -> Pixels:
     """Return a field (ny, nx), with rows from below, as pixels (ny, nx, 3), with rows from above.
 
-    NaN means no fluid.
+    NaN means no fluid, which has the colour `empty`.
     """
     from matplotlib import colormaps
     from matplotlib.colors import Normalize, to_rgba
 
-    shown = colormaps[colours].with_extremes(bad=to_rgba(SOLID_COLOUR))
+    shown = colormaps[colours].with_extremes(bad=to_rgba(empty))
     low, high = ends
     values = Normalize(low, high)(np.ma.masked_invalid(field[::-1]))
     return np.asarray(shown(values, bytes=True))[..., :3]
@@ -275,13 +307,13 @@ def as_png(rows: Sequence[Sequence[Pixels]]) -> bytes:
     return content.getvalue()
 
 
-def animations(workspace: Workspace) -> Iterator[Html]:
-    """Yield an animation of the first complete reduced run, if there is one.
+def animations(workspace: Workspace, points: Iterable[ParameterPoint]) -> Iterator[Html]:
+    """Yield an animation of the first complete reduced run at some points, if there is one.
 
-    Predicted points come before trained ones, and fast models before others.
+    Fast models come before others.
     """
     plan = workspace.case.plan
-    for point in (*plan.test_points, *plan.train_points):
+    for point in points:
         for model in plan.models_by_speed:
             if point in plan.rom_points(model):
                 with StoredRun.opened(workspace, point, model) as run:
@@ -294,10 +326,13 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
     probes = probes_of(workspace.case)
     with StoredRun.opened(workspace, point) as full:
         times = full.time
+        shown = times[pictured_snapshot(full.kinetic_energy)]
         chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
         full_samples = without_air(workspace.case, full.sampled(probes.pictured, chosen.tolist()))
     samples = without_air(workspace.case, reduced.sampled(probes.pictured, chosen.tolist()))
     frame = frame_of(workspace.case)
+    title = workspace.case.plan.title(point)
+    empty = empty_colour(frame)
     rows, legends = [], []
     for quantity in QUANTITIES:
         fields = side_by_side(
@@ -314,7 +349,7 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
             as_png(
                 [
                     [
-                        paint(probes.picture(f.values[i]), colours, ends)
+                        paint(probes.picture(f.values[i]), colours, ends, empty)
                         for f, (colours, ends) in row
                     ]
                     for row in rows
@@ -323,11 +358,13 @@ def _animation(workspace: Workspace, name: str, point: ParameterPoint, reduced: 
             for i in range(len(chosen))
         ],
         times=[f"{times[snapshot]:.4g}" for snapshot in chosen],
-        heads=("full", name, "difference"),
+        first=int(np.argmin(np.abs(times[chosen] - shown))),
+        heads=("full", name, f"{name} - full"),
         extent=[f"{end:g}" for end in frame.ends],
         labels=frame.labels,
         legends=legends,
-        caption=f"{point.label}: speed above, pressure below; full run, {name}, and their "
-        f"difference, from t = {times[chosen[0]]:.4g} s to {times[chosen[-1]]:.4g} s. All frames "
-        f"have the same colour scale; the extreme {SHOWN[0]:g} % at either end share one colour.",
+        caption=f"{title}: speed above, pressure below; full run, {name}, and the difference "
+        f"{name} - full, from t = {times[chosen[0]]:.4g} s to {times[chosen[-1]]:.4g} s. All "
+        f"frames have the same colour scale; the extreme {SHOWN[0]:g} % at either end share one "
+        "colour.",
     )

@@ -134,9 +134,14 @@ def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
     return "extrapolated" if distance > 0.0 else "predicted"
 
 
+def has_air(case: Case) -> bool:
+    """Return whether parts of the scene without fluid are air."""
+    return case.scene.has_surface
+
+
 def without_air(case: Case, samples: Samples) -> Samples:
     """Return samples with NaN above a free surface, where samples of runs are zero."""
-    if not case.scene.has_surface:
+    if not has_air(case):
         return samples
     air = (samples.speed == 0.0) & (samples.pressure == 0.0)
     velocity = np.where(air[..., None], np.nan, samples.velocity)

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 
 from sphrom.arrays import Array
+from sphrom.case.measure_sections import ElevationMeasure, ForceMeasure
 from sphrom.case.models import Case
 from sphrom.case.plan_flows import BEYOND
 from sphrom.errors import CaseError
@@ -151,7 +152,8 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
             middle = ghosts[np.argmin(np.sum((ghosts - middle) ** 2, axis=1))]
         beside_fluid = mine[surface[mine]]
         largest = float(speed[beside_fluid].max(initial=0.0))
-        text, colour = (f"{name}, {largest:.3g} m/s", MOVING) if largest else (name, panels.INK)
+        text = _wall_text(case, name, largest)
+        colour = MOVING if largest else panels.INK
         turned = 90.0 if name in SIDES[0] else 0.0
         axes.text(middle[0], middle[1], text, color=colour, rotation=turned, **CENTRED)
         if largest:
@@ -160,6 +162,14 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
             arrows = arrow / fastest * walls.velocity[shown]
             label = f"velocity of walls, at most {fastest:.3g} m/s"
             _draw_arrows(axes, place, arrows, MOVING, label)
+
+
+def _wall_text(case: Case, name: str, speed: float) -> str:
+    """Return the name of a wall, its speed [m/s] if it moves, and the forces measured on it."""
+    measured = case.scene.measure.items()
+    forces = [n for n, m in measured if isinstance(m, ForceMeasure) and m.force_on == name]
+    words = [name, f"{speed:.3g} m/s" * bool(speed), f"force: {', '.join(forces)}" * bool(forces)]
+    return ", ".join(filter(None, words))
 
 
 def _draw_arrows(axes: Axes, place: Array, way: Array, colour: str, label: str = "") -> None:
@@ -220,7 +230,7 @@ def _draw_compared(axes: Axes, case: Case) -> None:
 
 
 def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
-    """Draw probes, lines and sections; an arrow [m] shows the positive direction of flow."""
+    """Draw probes, lines, sections and gauges; an arrow [m] shows the direction of flow."""
     for name, measure in case.scene.measured_fields.items():
         ends = np.array(measure.ends)
         middle = ends.mean(axis=0)
@@ -234,6 +244,14 @@ def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
         axes.plot(*ends.T, **look, label=measure.title, color=MEASURED, zorder=5)
         offset: Any = {"xytext": (5.0, 5.0), "textcoords": "offset points", **NAME}
         axes.annotate(name, 0.75 * ends[0] + 0.25 * ends[1], color=MEASURED, **offset)
+    low, high = case.scene.domain.lower[1], case.scene.domain.upper[1]
+    for name, gauge in case.scene.measured_surface.items():
+        if isinstance(gauge, ElevationMeasure):
+            x = gauge.elevation
+            look = {"ls": "--", "lw": 1.8, "color": MEASURED, "zorder": 5}
+            axes.plot((x, x), (low, high), **look, label="elevation of the surface")
+            offset = {"xytext": (5.0, -12.0), "textcoords": "offset points", **NAME}
+            axes.annotate(name, (x, high), color=MEASURED, **offset)
 
 
 def _draw_slices(axes: Axes, case: Case, slices: Slices, size: float, arrow: float) -> None:
@@ -300,7 +318,8 @@ def _draw_sides(axes: Axes, case: Case, slices: Slices, arrow: float) -> None:
             moving.append((view, side, velocity))
             largest = float(np.linalg.norm(velocity, axis=1).max())
             name = SIDES[axis][end]
-            text, colour = (f"{name}, {largest:.3g} m/s", MOVING) if largest else (name, panels.INK)
+            text = _wall_text(case, name, largest)
+            colour = MOVING if largest else panels.INK
             axes.plot(*place.T, color=panels.INK, lw=1.6)
             turned = 90.0 if axis == along[0] else 0.0
             x, y = place.mean(axis=0).tolist()

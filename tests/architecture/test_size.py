@@ -9,9 +9,9 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-TOKENS, MODULES = 352_850, 273
+TOKENS, MODULES = 354_900, 275
 """Ceilings of the package; tokens don't count lines, so that a second line costs nothing."""
-TEST_LINES = 32_600
+TEST_LINES = 32_700
 LARGEST_SHARE = 0.16
 """Of a package's tokens in all."""
 LONGEST = 450

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.measured import flow_row
 from sphrom.models.stored_run import StoredRun
@@ -51,3 +52,21 @@ def test_bulk_velocity_where_points_fall_onto_edges(case_of, made_up):
 
     row = _row(case, made_up(case, flow, np.linspace(5.0, 6.0, 5)))
     assert row.bulk_velocity == pytest.approx(1.25, rel=0.01)
+
+
+def test_bulk_velocity_of_a_channel_that_repeats(made_up):
+    """The mean of a parabola is two thirds of its largest velocity; a closed box has none."""
+
+    def bulk_velocity(periodic: list[str]) -> float | None:
+        scene = {"kind": "custom", "box": {"upper": [2, 1], "periodic": periodic}}
+        values = {"scene": scene, "discretization": {"resolution": 20}, "compare": {"grid": 40}}
+        case = Case.model_validate({"name": "channel", **values})
+
+        def flow(position, time):
+            y = position[:, 1]
+            return np.stack((6.0 * y * (1.0 - y), 0.0 * y), axis=1), position[:, 0]
+
+        return _row(case, made_up(case, flow, np.linspace(0.0, 1.0, 5))).bulk_velocity
+
+    assert bulk_velocity(["x"]) == pytest.approx(1.0, rel=0.01)
+    assert bulk_velocity([]) is None

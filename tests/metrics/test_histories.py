@@ -80,6 +80,9 @@ def test_the_norm_over_time_counts_instants_by_their_size(cavity):
     first = history.places["velocity_field"].relative_l2[0]
     np.testing.assert_allclose(history.places["velocity_field"].relative_l2, [first, first / 2.0])
     assert described["velocity_field_relative_l2"] == pytest.approx(first * np.sqrt(2.0 / 5.0))
+    # Relative to the flow's root mean square over time, the error stays, and is the figure itself.
+    over_rms = history.places["velocity_field"].over_rms
+    np.testing.assert_allclose(over_rms, described["velocity_field_relative_l2"])
     assert described["velocity_field_relative_l2_peak"] == pytest.approx(first)
     assert described["velocity_field_relative_l2_end"] == pytest.approx(first / 2.0)
 
@@ -158,7 +161,7 @@ SHAPE = np.array([1.0, 4.0, 2.0])
 
 def _series(k):
     eq41 = {name: n * 10.0**k * SHAPE for n, name in enumerate(EQ41, 2)}
-    return Series(5.0 * 10.0**k, 10.0**k * SHAPE, eq41)
+    return Series(5.0 * 10.0**k, 10.0**k * SHAPE, SHAPE, eq41)
 
 
 def _numbered():

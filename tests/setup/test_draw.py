@@ -62,8 +62,12 @@ def test_the_strip_of_an_inflow_porous_bodies_and_a_level_are_shown() -> None:
     (arrow,) = (found for found in axes.collections if isinstance(found, Quiver))
     assert arrow.U[0] < 0.0 == arrow.V[0]
     tank = {"kind": "custom", "box": {"upper": [2, 2]}, "fluid": {"level": 0.5}}
-    lines = {line.get_label(): line.get_xydata() for line in draw(make(tank)).axes[0].lines}
+    tank["measure"] = {"gauge": {"elevation": 0.25}, "push": {"force_on": "right"}}
+    axes = draw(make(tank)).axes[0]
+    lines = {line.get_label(): line.get_xydata() for line in axes.lines}
     np.testing.assert_array_equal(lines["level, y = 0.5 m"], [(0.0, 0.5), (2.0, 0.5)])
+    np.testing.assert_array_equal(lines["elevation of the surface"], [(0.25, 0.0), (0.25, 2.0)])
+    assert {"gauge", "right, force: push"} <= {text.get_text() for text in axes.texts}
 
 
 @pytest.mark.parametrize("kind", DEFAULTS)

@@ -22,7 +22,7 @@ from sphrom.sweep.batches import (
     read_records,
     write_records,
 )
-from sphrom.sweep.sweep import _summary
+from sphrom.sweep.table import summary
 
 
 def complete(reynolds: float, errors: tuple[float, float] | None) -> RunRecord:
@@ -97,7 +97,7 @@ def test_a_figure_has_its_extremes_where_they_are_and_its_mean() -> None:
     values = {100.0: 2.0, 200.0: 7.0, 300.0: 3.0, 400.0: None}
     records = [RunRecord(ParameterPoint(reynolds), 0) for reynolds in values]
     rows = [{"kinetic_energy": value} for value in values.values()]
-    ((words, least, at_least, mean, greatest, at_greatest),) = _summary(
+    ((words, least, at_least, mean, greatest, at_greatest),) = summary(
         records, rows, {"kinetic_energy": "J/m"}
     )
     assert words == "kinetic energy [J/m] of 3 runs"

@@ -29,6 +29,18 @@ class Series(Record):
         at="*",
         default_factory=dict,
     )
+    over_rms: Mapping[str, Array] = dataset(
+        "snapshot",
+        "%",
+        "L2 error of %s",
+        names={
+            f"{quantity}_{place}_l2_over_rms": f"{norm}, {where}, over the root mean square in time"
+            for quantity, norm in _NORMS.items()
+            for place, where in _PLACES.items()
+        },
+        at="*",
+        default_factory=dict,
+    )
     eq41: Mapping[str, Array] = dataset(
         "snapshot",
         "%",
