@@ -73,8 +73,8 @@ def fit_psi(options: Options) -> None:
     """Fit splines to the modes: psi.h5.
 
     \b
-    Example, with polynomials of a higher degree, overwriting earlier splines:
-      sphrom fit-psi cases/taylor_green_demo.yaml --set psi.polynomial_degree=2 --force
+    Example, with polynomials of a higher degree:
+      sphrom fit-psi cases/taylor_green_demo.yaml --set psi.polynomial_degree=2
     """
 
 
