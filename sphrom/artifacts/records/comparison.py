@@ -13,6 +13,15 @@ _VALUES = {"velocity": "speed", "pressure": "pressure"}
 _RANGES = {"line": "on the line", "field": "of the whole field"}
 
 
+def _norms(ending: str, relative_to: str = "") -> dict[str, str]:
+    """Return the meanings of L2 norms of errors, by names with an ending."""
+    return {
+        f"{quantity}_{place}_{ending}": f"{norm}, {where}{relative_to}"
+        for quantity, norm in _NORMS.items()
+        for place, where in _PLACES.items()
+    }
+
+
 class Series(Record):
     """The errors of one run over time."""
 
@@ -21,11 +30,7 @@ class Series(Record):
         "snapshot",
         "%",
         "relative L2 error of %s",
-        names={
-            f"{quantity}_{place}_relative_l2": f"{norm}, {where}"
-            for quantity, norm in _NORMS.items()
-            for place, where in _PLACES.items()
-        },
+        names=_norms("relative_l2"),
         at="*",
         default_factory=dict,
     )
@@ -33,11 +38,7 @@ class Series(Record):
         "snapshot",
         "%",
         "L2 error of %s",
-        names={
-            f"{quantity}_{place}_l2_over_rms": f"{norm}, {where}, over the root mean square in time"
-            for quantity, norm in _NORMS.items()
-            for place, where in _PLACES.items()
-        },
+        names=_norms("l2_over_rms", ", over the root mean square in time"),
         at="*",
         default_factory=dict,
     )
